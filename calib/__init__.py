@@ -1,0 +1,1 @@
+"""What is true about a camera: photos in, calibration and judgement out. Knows no vehicle."""

@@ -1,0 +1,1 @@
+"""Photos to Solution: features, tracks, block, adjustment."""

@@ -1,0 +1,1 @@
+"""Photo files and what they say about themselves."""

@@ -1,0 +1,83 @@
+"""What one photo's file says about itself."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+from datetime import datetime
+from enum import StrEnum
+from pathlib import Path
+
+
+class Processing(StrEnum):
+    """What the camera did to the pixels before it wrote the file."""
+
+    RAW = "raw"
+    LENS_CORRECTED = "lens-corrected"
+    UNKNOWN = "unknown"
+
+
+@dataclass(frozen=True)
+class CameraIdentity:
+    """Which camera took a photo; two photos may be adjusted together only if these agree."""
+
+    make: str
+    model: str
+    serial: str | None
+    width: int
+    height: int
+    processing: Processing = Processing.UNKNOWN
+    #: Nominal focal length from EXIF, lens data or the maker's notes (None: unknown).
+    focal_mm: float | None = None
+
+
+@dataclass(frozen=True)
+class Position:
+    """Where the file says the camera was, WGS84.
+
+    ``height_ellipsoid_or_msl_m`` is the absolute altitude as written (makers differ in datum);
+    ``height_above_launch_m`` the relative one (None: not given).
+    """
+
+    latitude_deg: float
+    longitude_deg: float
+    altitude_m: float | None
+    height_above_launch_m: float | None = None
+    sigma_horizontal_m: float | None = None
+    sigma_vertical_m: float | None = None
+
+
+@dataclass(frozen=True)
+class GimbalAngles:
+    """Gimbal attitude in the world as DJI writes it: yaw clockwise from true north, pitch -90 looks
+    straight down and 0 at the horizon, roll about the optical axis; degrees."""
+
+    yaw_deg: float
+    pitch_deg: float
+    roll_deg: float
+
+
+@dataclass(frozen=True)
+class Photo:
+    """One photo and its metadata; the file itself is only ever read."""
+
+    path: Path
+    camera: CameraIdentity
+    position: Position | None = None
+    gimbal: GimbalAngles | None = None
+    #: Exposure time; sub-seconds as far as the file has them (``time_resolution_s``).
+    time: datetime | None = None
+    time_resolution_s: float = 1.0
+    #: Nominal focal length in px of this image (from 35 mm equivalent, sensor size or maker data).
+    focal_px: float | None = None
+    #: Factory calibration as the maker wrote it (DJI DewarpData, CalibratedFocalLength, ...).
+    factory: dict[str, float] = field(default_factory=dict)
+    #: EXIF orientation tag (1: rows are rows). Pixels are used as stored; this is for display only.
+    orientation: int = 1
+
+
+@dataclass(frozen=True)
+class LeftOut:
+    """A file that was not used, and why, in words for the user."""
+
+    path: Path
+    reason: str

@@ -1,0 +1,62 @@
+"""A reference calibration: the thing a survey's self-calibration is held against."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+from calib.camera import BrownCamera, FloatArray
+from calib.field import Lens
+from calib.photos.photo import Processing
+
+
+@dataclass(frozen=True)
+class EquifinalLine:
+    """A published or computed line K2 = slope K1 + intercept (pixel units) and its domain in K1.
+
+    ``band_k2_px`` is the half width of the band in K2 at fixed K1 (None: not published).
+    """
+
+    slope: float
+    intercept: float
+    k1_min: float
+    k1_max: float
+    k2_min: float
+    k2_max: float
+    band_k2_px: float | None
+    source: str
+
+
+@dataclass(frozen=True)
+class Reference:
+    """One calibration of one camera, with what is known about where it came from.
+
+    ``brown`` is None for cameras of which only the line was published. ``sigma`` holds standard
+    deviations by the names of ``BROWN_NAMES``; ``covariance`` is (35, 35) over ``LENS_NAMES`` or
+    None. ``field_px`` (24,) is the residual field, where the reference was made by fieldcal.
+    """
+
+    name: str
+    make: str
+    model: str
+    width: int
+    height: int
+    processing: Processing
+    source: str
+    brown: BrownCamera | None = None
+    field_px: FloatArray | None = None
+    sigma: dict[str, float] = field(default_factory=dict)
+    covariance: FloatArray | None = None
+    serial: str | None = None
+    date: str | None = None
+    temperature_c: float | None = None
+    provenance: str = ""
+    line: EquifinalLine | None = None
+    #: EXIF model names under which this camera signs its photos (FC300X, ...).
+    exif_models: tuple[str, ...] = ()
+
+    @property
+    def lens(self) -> Lens | None:
+        """Total mapping of the reference (None when only its line is known)."""
+        if self.brown is None:
+            return None
+        return Lens(self.brown) if self.field_px is None else Lens(self.brown, self.field_px)

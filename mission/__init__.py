@@ -1,0 +1,1 @@
+"""Pure flight geometry: numbers in, plan out."""
