@@ -27,6 +27,16 @@ class EquifinalLine:
 
 
 @dataclass(frozen=True)
+class PublishedRow:
+    """One row of a published table, as printed: ``values`` by the names of the table's columns."""
+
+    label: str
+    values: dict[str, float]
+    #: Whether the reference's calibration was made from this row.
+    chosen: bool = False
+
+
+@dataclass(frozen=True)
 class Reference:
     """One calibration of one camera, with what is known about where it came from.
 
@@ -53,6 +63,28 @@ class Reference:
     line: EquifinalLine | None = None
     #: EXIF model names under which this camera signs its photos (FC300X, ...).
     exif_models: tuple[str, ...] = ()
+    #: Focal length in mm at which a zoom lens was calibrated (None: fixed lens or unknown).
+    focal_mm: float | None = None
+    #: Focal length where it is known without the rest of the calibration.
+    focal_px: float | None = None
+    #: K1-K3 in pixel units derived from published lines, where no calibration was published.
+    implied_radial_px: tuple[float, float, float] | None = None
+    #: Brown fitted to the total mapping and its covariance (11, 11), where ``brown`` is only the
+    #: Brown part of a lens with a residual field.
+    fitted_brown: BrownCamera | None = None
+    fitted_covariance: FloatArray | None = None
+    published: tuple[PublishedRow, ...] = ()
+
+    @property
+    def comparable_brown(self) -> BrownCamera | None:
+        """The Brown parameters that another calibration's may be compared with."""
+        return self.brown if self.fitted_brown is None else self.fitted_brown
+
+    @property
+    def f_px(self) -> float | None:
+        """Focal length in px, None when unknown."""
+        brown = self.comparable_brown
+        return self.focal_px if brown is None else brown.f_px
 
     @property
     def lens(self) -> Lens | None:

@@ -16,6 +16,14 @@ class Processing(StrEnum):
     UNKNOWN = "unknown"
 
 
+class AltitudeDatum(StrEnum):
+    """What an absolute altitude counts from; makers differ, and many do not say."""
+
+    ELLIPSOID = "WGS84 ellipsoid"
+    SEA_LEVEL = "mean sea level"
+    UNKNOWN = "unknown"
+
+
 @dataclass(frozen=True)
 class CameraIdentity:
     """Which camera took a photo; two photos may be adjusted together only if these agree."""
@@ -28,14 +36,17 @@ class CameraIdentity:
     processing: Processing = Processing.UNKNOWN
     #: Nominal focal length from EXIF, lens data or the maker's notes (None: unknown).
     focal_mm: float | None = None
+    #: Which of a body's several cameras ("NIR", "ZoomCamera"); "" where there is one.
+    band: str = ""
 
 
 @dataclass(frozen=True)
 class Position:
     """Where the file says the camera was, WGS84.
 
-    ``height_ellipsoid_or_msl_m`` is the absolute altitude as written (makers differ in datum);
-    ``height_above_launch_m`` the relative one (None: not given).
+    ``altitude_m`` is the absolute altitude as written, above ``altitude_datum``;
+    ``height_above_launch_m`` the relative one (None: not given). The sigmas are standard deviations
+    as the receiver states them (RTK, GPSXYAccuracy, GPSHPositioningError), None where it does not.
     """
 
     latitude_deg: float
@@ -44,12 +55,14 @@ class Position:
     height_above_launch_m: float | None = None
     sigma_horizontal_m: float | None = None
     sigma_vertical_m: float | None = None
+    altitude_datum: AltitudeDatum = AltitudeDatum.UNKNOWN
 
 
 @dataclass(frozen=True)
 class GimbalAngles:
-    """Gimbal attitude in the world as DJI writes it: yaw clockwise from true north, pitch -90 looks
-    straight down and 0 at the horizon, roll about the optical axis; degrees."""
+    """Gimbal attitude in the world as DJI writes it (north-east-down, rotated in the order yaw,
+    pitch, roll): yaw clockwise from true north, pitch -90 looks straight down and 0 at the
+    horizon, roll about the optical axis; degrees."""
 
     yaw_deg: float
     pitch_deg: float
@@ -64,7 +77,8 @@ class Photo:
     camera: CameraIdentity
     position: Position | None = None
     gimbal: GimbalAngles | None = None
-    #: Exposure time; sub-seconds as far as the file has them (``time_resolution_s``).
+    #: Exposure time on the camera's own clock, without zone (two photos of one camera compare);
+    #: sub-seconds as far as the file has them (``time_resolution_s``).
     time: datetime | None = None
     time_resolution_s: float = 1.0
     #: Nominal focal length in px of this image (from 35 mm equivalent, sensor size or maker data).
@@ -73,6 +87,10 @@ class Photo:
     factory: dict[str, float] = field(default_factory=dict)
     #: EXIF orientation tag (1: rows are rows). Pixels are used as stored; this is for display only.
     orientation: int = 1
+    #: Attitude of the aircraft (heading, pitch up, roll right), where the file has it; not the camera's.
+    aircraft: GimbalAngles | None = None
+    #: Same for two files with the same image data, whatever their names and metadata ("": not known).
+    fingerprint: str = ""
 
 
 @dataclass(frozen=True)

@@ -1,0 +1,110 @@
+"""The dome or dish that a calibration error bends into the model ([C&D] fig. 2, 7)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from scipy.interpolate import LinearNDInterpolator
+
+from calib.align.adjust import State, similarity_tangent
+from calib.align.selfcal import Calibrated
+from calib.camera import FloatArray
+from calib.field import LENS_NAMES, Lens
+from calib.similarity import fit_similarity
+from calib.solution import Dome
+
+
+def site_radius_m(points_m: FloatArray) -> float:
+    """Radius of the surveyed area: 95 % of the points are nearer to their centre (horizontally)."""
+    offset = points_m[:, :2] - np.median(points_m[:, :2], axis=0)
+    return float(np.percentile(np.linalg.norm(offset, axis=1), 95))
+
+
+def _design(points_m: FloatArray, radius_m: float) -> FloatArray:
+    """1, x, y, x2 + y2, x2 - y2, x y in units of the site's radius, (m, 6)."""
+    x, y = ((points_m[:, :2] - np.median(points_m[:, :2], axis=0)) / radius_m).T
+    return np.stack([np.ones_like(x), x, y, x * x + y * y, x * x - y * y, x * y], axis=1)
+
+
+def dome_amplitude_m(points_m: FloatArray, height_error_m: FloatArray) -> FloatArray:
+    """Height of the middle of the site over its edge in a field of height errors.
+
+    ``height_error_m`` (m,) or (m, c); the answer is a scalar array or (c,). It is minus the
+    coefficient of r2 in a second-order surface ([C&D] methods), r in units of the site's radius.
+    """
+    design = _design(points_m, site_radius_m(points_m))
+    coefficients = np.linalg.lstsq(design, height_error_m, rcond=None)[0]
+    amplitude: FloatArray = -coefficients[3]
+    return amplitude
+
+
+def aligned_difference_m(points_m: FloatArray, reference_m: FloatArray) -> FloatArray:
+    """points - reference (m, 3) after the best seven-parameter transformation of the points."""
+    difference: FloatArray = fit_similarity(points_m, reference_m).apply(points_m) - reference_m
+    return difference
+
+
+def _tangent_rest(points_m: FloatArray, moves_m: FloatArray) -> FloatArray:
+    """Small moves (m, 3, c) of points less their seven-parameter part, heights only (m, c)."""
+    m = len(points_m)
+    flat = similarity_tangent(points_m - points_m.mean(axis=0)).reshape(3 * m, 7)
+    moves = moves_m.reshape(3 * m, -1)
+    rest = moves - flat @ np.linalg.lstsq(flat, moves, rcond=None)[0]
+    heights: FloatArray = rest.reshape(m, 3, -1)[:, 2]
+    return heights
+
+
+def predict_dome(
+    block: Calibrated,
+    lens_covariance: FloatArray,
+    reference: Lens | None,
+    flying_height_m: float,
+    tick: Callable[[], None] | None = None,
+) -> Dome:
+    """Dome of the free solution against the solution held at ``reference``, with sigma.
+
+    Sigma is what the inflated lens covariance leaves open, carried to the points with poses and
+    points re-adjusted around the lens.
+    """
+    adjusted = block.adjusted
+    points = adjusted.state.points_m
+    if adjusted.point_response is None:
+        raise ValueError("the block was adjusted without its response")
+    heights = _tangent_rest(points, adjusted.point_response)
+    gain = np.zeros(len(LENS_NAMES))
+    gain[adjusted.free] = dome_amplitude_m(points, heights)
+    sigma = float(np.sqrt(max(gain @ lens_covariance @ gain, 0.0)))
+    radius = site_radius_m(points)
+    if reference is None:
+        return Dome(None, sigma, flying_height_m, radius)
+    held = block.adjustment.run(
+        State(reference, adjusted.state.rotations, adjusted.state.centres_m, points),
+        np.zeros(len(LENS_NAMES), bool),
+        max_iterations=40,
+        decrement=0.1,
+        reweightings=1,
+        tick=tick,
+    )
+    difference = aligned_difference_m(points, held.state.points_m)[:, 2]
+    east, north, grid = _grid(held.state.points_m, difference, radius)
+    amplitude = float(dome_amplitude_m(held.state.points_m, difference))
+    return Dome(amplitude, sigma, flying_height_m, radius, east, north, grid)
+
+
+def _grid(points_m: FloatArray, difference: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+    """Difference on a 41 x 41 grid over the site, NaN outside the points."""
+    centre = np.median(points_m[:, :2], axis=0)
+    axis = np.linspace(-1.05 * radius_m, 1.05 * radius_m, 41)
+    # Medians over cells keep single bad points from spiking the map.
+    cell = np.clip(((points_m[:, :2] - centre) / radius_m * 12 + 13).astype(int), 0, 26)
+    slot = cell[:, 1] * 27 + cell[:, 0]
+    order = np.argsort(slot, kind="stable")
+    groups = np.split(order, np.flatnonzero(np.diff(slot[order])) + 1)
+    nodes = np.array([np.median(points_m[g, :2], axis=0) for g in groups])
+    values = np.array([np.median(difference[g]) for g in groups])
+    east, north = np.meshgrid(centre[0] + axis, centre[1] + axis)
+    if len(nodes) < 4:
+        return axis + centre[0], axis + centre[1], np.full(east.shape, np.nan)
+    grid: FloatArray = LinearNDInterpolator(nodes, values)(east, north)
+    return axis + centre[0], axis + centre[1], grid

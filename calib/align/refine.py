@@ -1,0 +1,213 @@
+"""Tie points measured again, to a fraction of a pixel, on the full-size images.
+
+Features are found on reduced images. Here every track gets one patch from one photo (its
+template), carried into the other photos through the block's own geometry (a local affine map of
+the ground's tangent plane) and moved until grey values agree: least-squares matching with
+brightness and contrast free (Gruen 1985), inverse compositional, all patches of a photo at once.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+
+from calib.align.features import decode_gray
+from calib.camera import FloatArray
+from calib.field import Lens
+from calib.solution import Observations
+
+HALF = 8
+STEP_PX = 1.25
+ITERATIONS = 8
+#: A patch that wants to move further than this (full-size px) was a mismatch.
+MAX_MOVE_PX = 4.0
+MIN_CORRELATION = 0.8
+
+
+@dataclass(frozen=True)
+class Refined:
+    """Observations with refined pixels; ``ok`` (n,) False where a patch could not be matched."""
+
+    observations: Observations
+    ok: NDArray[np.bool_]
+
+
+def surface_normals(points_m: FloatArray, neighbours: int = 24) -> FloatArray:
+    """Unit normals (m, 3) of the ground around every point, from its neighbours' plane."""
+    k = min(neighbours, len(points_m))
+    _, index = cKDTree(points_m).query(points_m, k=k)
+    around = points_m[index] - points_m[index].mean(axis=1, keepdims=True)
+    _, vectors = np.linalg.eigh(np.einsum("nki,nkj->nij", around, around))
+    normals: FloatArray = vectors[:, :, 0]
+    return normals
+
+
+def _tangent_maps(
+    lens: Lens, rotations: FloatArray, centres_m: FloatArray, obs: Observations, points_m: FloatArray
+) -> FloatArray:
+    """d pixel / d tangent plane coordinates for every observation, (n, 2, 2)."""
+    normal = surface_normals(points_m)
+    helper = np.where(np.abs(normal[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+    first = np.cross(normal, helper)
+    first /= np.linalg.norm(first, axis=1, keepdims=True)
+    second = np.cross(normal, first)
+    offset = points_m[obs.point] - centres_m[obs.photo]
+    turned = rotations[obs.photo]
+    in_cam = (turned @ offset[:, :, None])[:, :, 0]
+    rays = in_cam[:, :2] / in_cam[:, 2:]
+    _, by_ray, _ = lens.derivatives(rays)
+    by_cam = np.empty((len(obs), 2, 3))
+    by_cam[:, :, :2] = by_ray / in_cam[:, 2][:, None, None]
+    by_cam[:, :, 2] = -(by_ray @ rays[:, :, None])[:, :, 0] / in_cam[:, 2:]
+    tangent = np.stack([first, second], axis=2)[obs.point]
+    maps: FloatArray = by_cam @ turned @ tangent
+    return maps
+
+
+class _Images:
+    """Full-size grey images, kept while they fit into ``budget`` bytes."""
+
+    def __init__(self, paths: Sequence[Path], budget: int) -> None:
+        self._paths, self._budget = paths, budget
+        self._kept: dict[int, NDArray[np.uint8]] = {}
+
+    def __getitem__(self, index: int) -> NDArray[np.uint8]:
+        if index in self._kept:
+            return self._kept[index]
+        image, _ = decode_gray(self._paths[index], None)
+        if sum(i.nbytes for i in self._kept.values()) + image.nbytes <= self._budget:
+            self._kept[index] = image
+        return image
+
+
+def _sample(image: NDArray[np.uint8], pixels: FloatArray) -> NDArray[np.float32]:
+    """Grey values (n, s) at ``pixels`` (n, s, 2), bicubic."""
+    # OpenCV counts from the centre of the first pixel.
+    maps = np.asarray(pixels - 0.5, np.float32)
+    out = np.empty(maps.shape[:2], np.float32)
+    for start in range(0, len(maps), 16000):  # remap allows 32767 rows
+        part = maps[start : start + 16000]
+        out[start : start + 16000] = cv2.remap(
+            image, part[:, :, 0], part[:, :, 1], cv2.INTER_CUBIC, borderMode=cv2.BORDER_REPLICATE
+        )
+    return out
+
+
+def _grid() -> FloatArray:
+    axis = np.arange(-HALF, HALF + 1) * STEP_PX
+    x, y = np.meshgrid(axis, axis)
+    return np.stack([x.ravel(), y.ravel()], axis=-1)
+
+
+def refine(
+    paths: Sequence[Path],
+    lens: Lens,
+    rotations: FloatArray,
+    centres_m: FloatArray,
+    points_m: FloatArray,
+    obs: Observations,
+    memory_bytes: int = 1_000_000_000,
+    tick: Callable[[int], None] | None = None,
+) -> Refined:
+    """Refine all observations of a block whose geometry is known to a few pixels.
+
+    The template of a track is its observation nearest to the image centre; it stays where it is.
+    ``paths`` in the order of the photo indices. ``tick(photo)`` is called as photos are done.
+    """
+    n = len(obs)
+    maps = _tangent_maps(lens, rotations, centres_m, obs, points_m)
+    middle = np.array([lens.brown.width / 2, lens.brown.height / 2])
+    order = np.lexsort((np.linalg.norm(obs.pixels - middle, axis=1), obs.point))
+    head = np.concatenate([[True], obs.point[order][1:] != obs.point[order][:-1]])
+    template = np.zeros(len(points_m), np.intp)
+    template[obs.point[order][head]] = order[head]
+
+    grid = _grid()
+    images = _Images(paths, memory_bytes)
+    size = 2 * HALF + 1
+    patches = np.zeros((len(points_m), grid.shape[0]), np.float32)
+    for photo in range(len(paths)):
+        mine = np.flatnonzero(obs.photo[template] == photo)
+        if len(mine):
+            patches[mine] = _sample(images[photo], obs.pixels[template[mine]][:, None, :] + grid)
+    patches -= patches.mean(axis=1, keepdims=True)
+    contrast = np.sqrt(np.mean(patches**2, axis=1))
+    textured = contrast > 1.5
+    patches /= np.maximum(contrast, 1e-3)[:, None]
+    square = patches.reshape(-1, size, size)
+    gx = (np.gradient(square, axis=2) / STEP_PX).reshape(len(patches), -1)
+    gy = (np.gradient(square, axis=1) / STEP_PX).reshape(len(patches), -1)
+    normal = np.empty((len(patches), 2, 2))
+    normal[:, 0, 0], normal[:, 1, 1] = np.sum(gx * gx, axis=1), np.sum(gy * gy, axis=1)
+    normal[:, 0, 1] = normal[:, 1, 0] = np.sum(gx * gy, axis=1)
+    textured &= np.linalg.eigvalsh(normal)[:, 0] > 0.02 * grid.shape[0] / 100
+    inverse = np.linalg.inv(normal + 1e-6 * np.eye(2))
+
+    pixels = obs.pixels.copy()
+    ok = np.zeros(n, bool)
+    ok[template] = textured
+    for photo in range(len(paths)):
+        mine = np.flatnonzero((obs.photo == photo) & textured[obs.point])
+        mine = mine[template[obs.point[mine]] != mine]
+        if len(mine):
+            point = obs.point[mine]
+            affine = maps[mine] @ np.linalg.inv(maps[template[point]])
+            moved, good = _follow(
+                images[photo], obs.pixels[mine], affine, patches[point], gx[point], gy[point], inverse[point], grid
+            )
+            pixels[mine[good]] = moved[good]
+            ok[mine] = good
+        if tick is not None:
+            tick(photo)
+    return Refined(Observations(obs.photo, obs.point, pixels, obs.sigma_px), ok)
+
+
+def _follow(
+    image: NDArray[np.uint8],
+    start: FloatArray,
+    affine: FloatArray,
+    template: NDArray[np.float32],
+    gx: FloatArray,
+    gy: FloatArray,
+    inverse: FloatArray,
+    grid: FloatArray,
+) -> tuple[FloatArray, NDArray[np.bool_]]:
+    """Move patches from ``start`` (n, 2) until they agree with their templates."""
+    scale = np.sqrt(np.abs(np.linalg.det(affine)))
+    sane = np.isfinite(scale) & (scale > 0.4) & (scale < 2.5)
+    affine = np.where(sane[:, None, None], affine, np.eye(2))
+    offsets = np.einsum("nij,sj->nsi", affine, grid)
+    at = start.copy()
+    last = np.full(len(start), np.inf)
+    correlation = np.zeros(len(start))
+    live = np.flatnonzero(sane)
+    for _ in range(ITERATIONS):
+        grey = _sample(image, at[live, None, :] + offsets[live])
+        grey -= grey.mean(axis=1, keepdims=True)
+        grey /= np.maximum(np.sqrt(np.mean(grey**2, axis=1)), 1e-3)[:, None]
+        correlation[live] = np.mean(grey * template[live], axis=1)
+        error = grey - template[live]
+        right = np.stack([np.sum(gx[live] * error, axis=1), np.sum(gy[live] * error, axis=1)], axis=1)
+        # Shift in the template's frame that would explain the error; the photo moves the other way.
+        shift = (inverse[live] @ right[:, :, None])[:, :, 0]
+        step = -(affine[live] @ shift[:, :, None])[:, :, 0]
+        length = np.linalg.norm(step, axis=1)
+        step *= np.minimum(1.0, 1.5 / np.maximum(length, 1e-9))[:, None]
+        at[live] += step
+        last[live] = length
+        away = np.linalg.norm(at - start, axis=1)
+        live = live[(last[live] > 0.01) & (away[live] <= MAX_MOVE_PX)]
+        if not len(live):
+            break
+    away = np.linalg.norm(at - start, axis=1)
+    good = sane & (last < 0.1) & (away <= MAX_MOVE_PX) & (correlation > MIN_CORRELATION)
+    height, width = image.shape
+    reach = np.abs(offsets).max(axis=1)
+    inside = ((at - reach > 0) & (at + reach < [width, height])).all(axis=1)
+    return at, good & inside

@@ -1,0 +1,180 @@
+"""Self-calibration in steps: from a block that roughly fits to the model the verdict rests on.
+
+1. f, principal point, K1, K2; blunders out.
+2. K3, decentring and affinity; blunders out by the noise found.
+3. K3 and decentring stay where they are significant ([SEN] staged release).
+4. The residual field joins, with a weak prior (docs/method.md says why).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib.align.adjust import Adjusted, Adjustment, Priors, State, ray_angle_deg
+from calib.align.tracks import select
+from calib.camera import BROWN_NAMES, FloatArray
+from calib.errors import AlignmentError
+from calib.field import LENS_NAMES
+from calib.solution import Observations
+
+#: Prior of the residual field's coefficients, in px at 4000 px image width.
+FIELD_SIGMA_PX = 0.5
+#: What a file's nominal focal length is worth, as a share of f.
+NOMINAL_F_SIGMA = 0.15
+#: |t| above which a parameter group counts as significant (99 %, two-sided).
+SIGNIFICANT = 2.6
+#: Points seen under less parallax say nothing about the lens and slow the adjustment down.
+LEAST_ANGLE_DEG = 2.0
+BASIC = ("f", "cx", "cy", "k1", "k2")
+NB = len(BROWN_NAMES)
+
+
+def mask(names: tuple[str, ...], field: bool = False) -> np.ndarray:
+    """Boolean (35,): the named Brown parameters, and the residual field if asked for."""
+    free = np.array([name in names for name in LENS_NAMES])
+    free[NB:] = field
+    return free
+
+
+def lens_priors(width: int, nominal_f_px: float) -> tuple[FloatArray, FloatArray]:
+    """Mean and sigma (35,) of a lens of which only the nominal focal length is known.
+
+    The principal point within 1 % of the width, decentring and affinity small, as in any camera
+    that is not broken; radial distortion free but for the sixth and eighth order.
+    """
+    mean = np.zeros(len(LENS_NAMES))
+    sigma = np.full(len(LENS_NAMES), np.inf)
+    index = {name: i for i, name in enumerate(LENS_NAMES)}
+    mean[index["f"]], sigma[index["f"]] = nominal_f_px, NOMINAL_F_SIGMA * nominal_f_px
+    for name, value in (("cx", 0.01 * width), ("cy", 0.01 * width)):
+        sigma[index[name]] = value
+    for name, value in (("k1", 1.0), ("k2", 2.0), ("k3", 2.0), ("k4", 2.0), ("p1", 0.01), ("p2", 0.01)):
+        sigma[index[name]] = value
+    for name in ("b1", "b2"):
+        sigma[index[name]] = 0.005 * nominal_f_px
+    sigma[NB:] = FIELD_SIGMA_PX * width / 4000
+    return mean, sigma
+
+
+def with_lens_priors(priors: Priors, width: int, height: int, nominal_f_px: float) -> Priors:
+    """``priors`` with those of :func:`lens_priors`, principal point around the image centre."""
+    mean, sigma = lens_priors(width, nominal_f_px)
+    mean[1], mean[2] = width / 2, height / 2
+    return replace(priors, lens_mean=mean, lens_sigma=sigma)
+
+
+@dataclass(frozen=True)
+class Calibrated:
+    """A self-calibrated block. ``adjustment`` can be run again under other lens models.
+
+    ``point_index`` (m,): index of every remaining point among those given.
+    """
+
+    adjustment: Adjustment
+    adjusted: Adjusted
+    point_index: np.ndarray
+    observation_index: np.ndarray
+
+    @property
+    def observations(self) -> Observations:
+        return self.adjustment.obs
+
+
+def noise_px(residuals: FloatArray) -> float:
+    """Robust standard deviation per coordinate of residuals (n, 2)."""
+    return max(float(1.4826 * np.median(np.abs(residuals))), 0.02)
+
+
+def _redundancy_factor(n_observations: int, n_photos: int, n_points: int) -> float:
+    """sqrt(observations / redundancy): residuals are smaller than the noise they come from."""
+    redundancy = 2 * n_observations - 6 * n_photos - 3 * n_points
+    return float(np.sqrt(2 * n_observations / max(redundancy, 0.2 * n_observations)))
+
+
+def calibrate(
+    obs: Observations,
+    start: State,
+    priors: Priors,
+    tick: Callable[[], None] | None = None,
+    blunder_sigmas: float = 4.5,
+) -> Calibrated:
+    """Self-calibrate a block (see the module's text).
+
+    Args:
+        obs: every photo has observations, every point at least two; sorted by point.
+        priors: positions, attitudes and lens (:func:`with_lens_priors`).
+
+    Raises:
+        AlignmentError: too few observations survive for the number of unknowns.
+    """
+    k = len(start.rotations)
+    point_index = np.arange(len(start.points_m))
+    obs_index = np.arange(len(obs))
+    state = start
+    steps = (BASIC, BASIC, (*BASIC, "k3", "p1", "p2", "b1", "b2"))
+    for step, names in enumerate(steps):
+        adjustment = Adjustment(obs, k, len(state.points_m), priors)
+        last = step == len(steps) - 1
+        result = adjustment.run(
+            state, mask(names), max_iterations=60 if last else 25, decrement=0.1 if last else 1.0, tick=tick
+        )
+        state = result.state
+        sigma = noise_px(result.residuals_px) * _redundancy_factor(len(obs), k, len(state.points_m))
+        size = np.linalg.norm(result.residuals_px, axis=1)
+        # The first rounds are lenient: part of a large residual is still the model's.
+        keep = size < (10, 6, blunder_sigmas)[step] * sigma
+        keep &= adjustment.depths(state) > 0
+        keep &= (ray_angle_deg(state.centres_m, state.points_m, obs) > LEAST_ANGLE_DEG)[obs.point]
+        obs, obs_index, state, point_index = _kept(obs, obs_index, keep, sigma, state, point_index, k)
+    names = tuple(n for n in steps[-1] if n in _significant(result))
+    adjustment = Adjustment(obs, k, len(state.points_m), priors)
+    result = adjustment.run(state, mask(names, field=True), decrement=0.1, tick=tick)
+    state = result.state
+    sigma = noise_px(result.residuals_px) * _redundancy_factor(len(obs), k, len(state.points_m))
+    keep = np.linalg.norm(result.residuals_px, axis=1) < blunder_sigmas * sigma
+    obs, obs_index, state, point_index = _kept(obs, obs_index, keep, sigma, state, point_index, k)
+    adjustment = Adjustment(obs, k, len(state.points_m), priors)
+    result = adjustment.run(state, result.free, response=True, tick=tick)
+    return Calibrated(adjustment, result, point_index, obs_index)
+
+
+def _kept(
+    obs: Observations,
+    obs_index: np.ndarray,
+    keep: np.ndarray,
+    sigma: float,
+    state: State,
+    point_index: np.ndarray,
+    n_photos: int,
+) -> tuple[Observations, np.ndarray, State, np.ndarray]:
+    counts = np.bincount(obs.point[keep], minlength=len(state.points_m))
+    obs_index = obs_index[keep & (counts[obs.point] >= 2)]
+    obs, old = select(obs, keep)
+    per_photo = np.bincount(obs.photo, minlength=n_photos)
+    if per_photo.min() < 6:
+        raise AlignmentError(
+            f"Only {int(per_photo.min())} reliable tie points remain in one photo; the photos overlap too "
+            "little or show too little texture. Fly with more overlap."
+        )
+    obs = replace(obs, sigma_px=np.full(len(obs), sigma))
+    return obs, obs_index, replace(state, points_m=state.points_m[old]), point_index[old]
+
+
+def _significant(result: Adjusted) -> set[str]:
+    """Names of the parameters to keep: K3 and decentring only where they differ from zero."""
+    vector = result.state.lens.vector
+    covariance = result.covariance
+    index = {name: i for i, name in enumerate(LENS_NAMES)}
+    kept = set(BASIC) | {"b1", "b2"}
+    if abs(vector[index["k3"]]) > SIGNIFICANT * np.sqrt(covariance[index["k3"], index["k3"]]):
+        kept.add("k3")
+    pair = [index["p1"], index["p2"]]
+    size = vector[pair] @ np.linalg.solve(covariance[np.ix_(pair, pair)], vector[pair])
+    if size > SIGNIFICANT**2 + 2.5:  # chi-square of two degrees of freedom at 99 %: 9.2
+        kept.update(("p1", "p2"))
+    return kept
+
+

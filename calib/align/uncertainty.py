@@ -1,0 +1,257 @@
+"""Honest sigma: what a formal covariance leaves out, measured on the block itself.
+
+* Residuals that agree among neighbours within a photo (correlated noise, rolling shutter, terrain
+  that moved) carry less information than their number says: a variance factor from block means.
+* Models that fit as well but give another f: their spread goes into the covariance.
+* Halves of the tie points, adjusted apart (mrcal's cross-validation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.stats import chi2 as chi2_distribution
+
+from calib.align.adjust import Adjusted, Adjustment, Priors, State
+from calib.align.selfcal import Calibrated
+from calib.align.tracks import select, thin
+from calib.brownfit import fit_brown, image_grid_rays
+from calib.camera import BROWN_NAMES, FloatArray
+from calib.field import LENS_NAMES, Lens
+from calib.solution import Estimate
+
+NB = len(BROWN_NAMES)
+#: Observations above which the model comparisons run on a thinned block.
+COMPARE_ON = 25_000
+#: A model whose chi-square is worse with less probability than this is not defensible.
+DEFENSIBLE_P = 1e-3
+
+
+def correlation_factor(
+    residuals: FloatArray, weights: FloatArray, photo: np.ndarray, pixels: FloatArray, size: tuple[int, int]
+) -> float:
+    """Variance factor (>= 1) from residuals averaged over cells of each photo.
+
+    With independent noise the mean of n residuals has variance s2 / n; the factor is the largest
+    excess over cell sizes of a third to a seventh of the image. The share that pose parameters
+    take out of such means is allowed for.
+    """
+    good = weights > 0.5
+    residuals, photo, pixels = residuals[good], photo[good], pixels[good]
+    variance = float(np.mean(residuals**2))
+    worst = 1.0
+    for cells in (3, 4, 5, 7):
+        index = np.minimum((pixels / np.array(size) * cells).astype(int), cells - 1)
+        slot = (photo * cells + index[:, 1]) * cells + index[:, 0]
+        count = np.bincount(slot)
+        sums = np.stack([np.bincount(slot, residuals[:, i]) for i in range(2)], axis=1)
+        enough = count >= 4
+        if enough.sum() < 20:
+            continue
+        energy = np.sum(sums[enough] ** 2 / count[enough, None]) / (2 * variance)
+        n_cells = int(enough.sum())
+        expected = n_cells - 3 * len(np.unique(photo))
+        if expected < 10:
+            continue
+        # What chance alone reaches in one of forty blocks is no sign of correlation.
+        allowance = 2 * np.sqrt(1.0 / expected)
+        worst = max(worst, float(energy / expected) - allowance)
+    return worst
+
+
+@dataclass(frozen=True)
+class _Model:
+    name: str
+    free: np.ndarray
+    priors: Priors
+    lens: Lens
+
+
+def _variants(base: Adjusted, priors: Priors) -> list[_Model]:
+    """Defensible neighbours of the model that the verdict rests on."""
+    index = {name: i for i, name in enumerate(LENS_NAMES)}
+    lens = base.state.lens
+
+    def toggled(name: str, *parameters: str) -> _Model:
+        free = base.free.copy()
+        columns = [index[p] for p in parameters]
+        adding = not free[columns].any()
+        free[columns] = adding
+        vector = lens.vector
+        if not adding:
+            vector[columns] = priors.lens_mean[columns]
+        return _Model(("with " if adding else "without ") + name, free, priors, lens.with_vector(vector))
+
+    no_field = base.free.copy()
+    no_field[NB:] = False
+    plain = Lens(fit_brown(lens)[0])
+    wide = priors.lens_sigma.copy()
+    wide[NB:] *= 3
+    return [
+        toggled("K3", "k3"),
+        toggled("K4", "k4"),
+        toggled("decentring", "p1", "p2"),
+        toggled("affinity", "b1", "b2"),
+        toggled("principal point", "cx", "cy"),
+        _Model("without residual field", no_field, priors, Lens(replace(plain.brown, k4=lens.brown.k4))),
+        _Model("stronger residual field", base.free, replace(priors, lens_sigma=wide), lens),
+    ]
+
+
+@dataclass(frozen=True)
+class _Part:
+    """Part of a block, with the weights that all models compared on it share."""
+
+    adjustment: Adjustment
+    state: State
+    weights: tuple[FloatArray, FloatArray]
+
+    def run(self, model: _Model, tick: Callable[[], None] | None) -> Adjusted:
+        return self.adjustment.with_priors(model.priors).run(
+            replace(self.state, lens=model.lens),
+            model.free,
+            max_iterations=40,
+            decrement=0.05,
+            weights=self.weights,
+            tick=tick,
+        )
+
+
+def _subset(block: Calibrated, points: np.ndarray, n_photos: int) -> _Part | None:
+    """The block on some of its points; None where a photo would be left bare."""
+    obs = block.observations
+    kept = points[obs.point]
+    sub, old = select(obs, kept)
+    if not len(sub) or np.bincount(sub.photo, minlength=n_photos).min() < 6:
+        return None
+    state = block.adjusted.state
+    return _Part(
+        Adjustment(sub, n_photos, len(old), block.adjustment.priors),
+        replace(state, points_m=state.points_m[old]),
+        (block.adjusted.weights[kept], block.adjusted.position_weights),
+    )
+
+
+def projection_jacobian(lens: Lens) -> FloatArray:
+    """d total mapping / d lens on a grid of the image, (2 g, 35)."""
+    _, _, by_lens = lens.derivatives(image_grid_rays(lens, 12, 9))
+    flat: FloatArray = by_lens.reshape(-1, by_lens.shape[2])
+    return flat
+
+
+def estimate(block: Calibrated, tick: Callable[[], None] | None = None) -> Estimate:
+    """The calibration with sigmas that take model error into account."""
+    base, adjustment = block.adjusted, block.adjustment
+    obs = adjustment.obs
+    state = base.state
+    n_photos = len(state.rotations)
+    brown = state.lens.brown
+    factor = correlation_factor(
+        base.residuals_px, base.weights, obs.photo, obs.pixels, (brown.width, brown.height)
+    )
+    fitted, jacobian = fit_brown(state.lens, keep_k4=bool(base.free[6]))
+    formal = base.covariance
+    covariance_35 = formal * factor
+    sigma_f_formal = float(np.sqrt(jacobian[0] @ formal @ jacobian[0]))
+
+    compare = _comparison_block(block, n_photos)
+    own = compare.run(_Model("", base.free, adjustment.priors, state.lens), tick)
+    scale = own.sigma0**2 * factor
+    f_here = fit_brown(own.state.lens)[0].f_px
+    models, rejected, moves = {}, {}, []
+    for model in _variants(base, adjustment.priors):
+        run = replace(compare, state=own.state).run(model, tick)
+        f = fit_brown(run.state.lens, keep_k4=bool(model.free[6]))[0].f_px
+        worse = max((run.chi2 - own.chi2) / scale, 0.0)
+        dropped = max(int(base.free.sum()) - int(model.free.sum()), 1)
+        if float(chi2_distribution.sf(worse, dropped)) < DEFENSIBLE_P or not np.isfinite(f):
+            rejected[model.name] = fitted.f_px + f - f_here
+            continue
+        models[model.name] = fitted.f_px + f - f_here
+        moves.append(run.state.lens.vector - own.state.lens.vector)
+    spread = max((abs(f - fitted.f_px) for f in models.values()), default=0.0)
+    covariance_35 = _with_spread(covariance_35, moves, jacobian, state.lens, models, fitted.f_px)
+    split_f, split_sigma, split_ratio = _split(block, jacobian, n_photos, factor, tick)
+    return Estimate(
+        brown=fitted,
+        covariance=jacobian @ covariance_35 @ jacobian.T,
+        lens=state.lens,
+        lens_covariance=covariance_35,
+        sigma_f_formal_px=sigma_f_formal,
+        spread_f_px=spread,
+        models=models,
+        rejected_models=rejected,
+        split_f_px=split_f,
+        split_sigma_f_px=split_sigma,
+        split_profile_ratio=split_ratio,
+        correlation_factor=factor,
+    )
+
+
+def _comparison_block(block: Calibrated, n_photos: int) -> _Part:
+    obs = block.observations
+    if len(obs) > COMPARE_ON:
+        per_cell = max(2, round(COMPARE_ON / n_photos / 64))
+        thinned = _subset(block, thin(obs, n_photos, 8, per_cell), n_photos)
+        if thinned is not None:
+            return thinned
+    adjusted = block.adjusted
+    return _Part(block.adjustment, adjusted.state, (adjusted.weights, adjusted.position_weights))
+
+
+def _with_spread(
+    covariance: FloatArray,
+    moves: list[FloatArray],
+    jacobian: FloatArray,
+    lens: Lens,
+    models: dict[str, float],
+    f_px: float,
+) -> FloatArray:
+    """Add each model's move where it exceeds the sigma that is there already, the largest first.
+
+    A move within sigma is what noise does to nested models; only the excess is model error. It is
+    looked for in f and in the total mapping, each against its own sigma.
+    """
+    mapping = projection_jacobian(lens)
+    moved_f = np.array([f - f_px for f in models.values()])
+    for index in np.argsort(-np.abs(moved_f)):
+        # The vector's move is linearised; the move of f itself was measured.
+        move, df = moves[index], moved_f[index]
+        variance_f = float(jacobian[0] @ covariance @ jacobian[0])
+        excess_f = 1 - variance_f / max(df**2, 1e-300)
+        shift = mapping @ move
+        variance_px = np.einsum("ij,jk,ik->i", mapping, covariance, mapping)
+        excess_px = 1 - float(np.sum(variance_px)) / max(float(np.sum(shift**2)), 1e-300)
+        excess = max(excess_f, excess_px, 0.0)
+        if excess > 0:
+            covariance = covariance + excess * np.outer(move, move)
+    return covariance
+
+
+def _split(
+    block: Calibrated, jacobian: FloatArray, n_photos: int, factor: float, tick: Callable[[], None] | None
+) -> tuple[float, float, float]:
+    """Odd minus even: f, its sigma, and the rms projection difference over its predicted rms."""
+    n_points = len(block.adjusted.state.points_m)
+    # Neighbouring points have neighbouring numbers; a fixed shuffle makes the halves alike.
+    half = np.random.default_rng(0).permutation(n_points) % 2 == 0
+    results = []
+    model = _Model("", block.adjusted.free, block.adjustment.priors, block.adjusted.state.lens)
+    for points in (half, ~half):
+        part = _subset(block, points, n_photos)
+        if part is None:
+            return float("nan"), float("nan"), float("nan")
+        results.append(part.run(model, tick))
+    first, second = results
+    move = first.state.lens.vector - second.state.lens.vector
+    covariance = (first.covariance + second.covariance) * factor
+    mapping = projection_jacobian(block.adjusted.state.lens)
+    expected = float(np.sum(np.einsum("ij,jk,ik->i", mapping, covariance, mapping)))
+    found = float(np.sum((mapping @ move) ** 2))
+    return (
+        float(jacobian[0] @ move),
+        float(np.sqrt(jacobian[0] @ covariance @ jacobian[0])),
+        float(np.sqrt(found / max(expected, 1e-300))),
+    )

@@ -1,0 +1,137 @@
+"""Writing results so that a file is there whole or not at all."""
+
+from __future__ import annotations
+
+import errno
+import os
+import shutil
+import tempfile
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from pathlib import Path
+
+from calib.errors import OutputError
+from calib.export import EXPORT_FILES, write_exports
+from calib.report import render_report
+from calib.report_json import report_json
+from calib.result import CheckResult
+
+REPORT_HTML, REPORT_JSON, EXPORTS = "report.html", "report.json", "exports"
+
+_REASONS = {
+    errno.ENOSPC: "the disk is full; free some space or choose another folder with --out",
+    errno.EDQUOT: "your disk quota is used up; free some space or choose another folder with --out",
+    errno.EACCES: "you may not write there; choose another folder with --out",
+    errno.EPERM: "you may not write there; choose another folder with --out",
+    errno.EROFS: "the disk is read-only; choose another folder with --out",
+    errno.ENOTDIR: "part of the path is a file, not a folder; choose another folder with --out",
+    errno.EEXIST: "there is a file of that name; choose another folder with --out",
+    errno.EISDIR: "there is a folder of that name; choose another name",
+    errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
+}
+
+
+@contextmanager
+def output_errors(target: Path) -> Iterator[None]:
+    """Turns an ``OSError`` while writing to ``target`` into an ``OutputError`` with one sentence."""
+    try:
+        yield
+    except OSError as error:
+        reason = _REASONS.get(error.errno or 0, (error.strerror or str(error)).lower())
+        raise OutputError(f"Cannot write {target}: {reason}.") from error
+
+
+def write_text_atomic(path: Path, text: str) -> None:
+    """Write ``text`` as UTF-8 to a sibling and rename it to ``path``; an old file stays until then.
+
+    Pipes and devices, which cannot be renamed over, are written to directly.
+
+    Raises:
+        OutputError: not writable, no such folder, disk full.
+    """
+    with output_errors(path):
+        if path.exists() and not path.is_file() and not path.is_dir():
+            path.write_text(text, encoding="utf-8")
+            return
+        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
+        try:
+            with os.fdopen(descriptor, "w", encoding="utf-8") as file:
+                file.write(text)
+                _settle(file.fileno())
+            _open_to_all(Path(name))
+            Path(name).replace(path)
+        except BaseException:
+            Path(name).unlink(missing_ok=True)
+            raise
+
+
+def check_writable(out_dir: Path) -> None:
+    """Make ``out_dir`` and try it out, so that a hopeless one is refused before the work, not after.
+
+    Raises:
+        OutputError: not a folder, not writable.
+    """
+    with output_errors(out_dir):
+        out_dir.mkdir(parents=True, exist_ok=True)
+        with tempfile.NamedTemporaryFile(prefix=".fieldcal-", dir=out_dir):
+            pass
+
+
+def write_outputs(result: CheckResult, out_dir: Path) -> dict[str, str]:
+    """Write ``report.html``, ``report.json`` and the ``exports`` folder into ``out_dir``.
+
+    Everything is written beside its place first and moved there at the end, ``report.json`` last;
+    if anything fails, the files of an earlier check stay as they were.
+
+    Returns:
+        the exports: name -> file relative to ``out_dir`` (as in ``report.json``).
+
+    Raises:
+        OutputError: not a folder, not writable, disk full.
+    """
+    check_writable(out_dir)
+    with output_errors(out_dir):
+        stage = Path(tempfile.mkdtemp(prefix=".fieldcal-", dir=out_dir))
+        try:
+            fresh = stage / EXPORTS
+            exports = {name: f"{EXPORTS}/{file}" for name, file in write_exports(result, fresh).items()}
+            complete = replace(result, exports=exports)
+            (stage / REPORT_HTML).write_text(render_report(complete), encoding="utf-8")
+            (stage / REPORT_JSON).write_text(report_json(complete), encoding="utf-8")
+            for path in sorted(stage.rglob("*")):
+                if path.is_file():
+                    with path.open("rb") as file:
+                        _settle(file.fileno())
+            with output_errors(out_dir / EXPORTS):
+                _move_exports(fresh, out_dir / EXPORTS)
+            for name in (REPORT_HTML, REPORT_JSON):
+                (stage / name).replace(out_dir / name)
+        finally:
+            shutil.rmtree(stage, ignore_errors=True)
+    return exports
+
+
+def _move_exports(fresh: Path, place: Path) -> None:
+    """Move the new files to their places and remove those that an earlier check had and this has not.
+
+    Only files of our own names are touched: the user may keep others beside them.
+    """
+    renewed = {path.relative_to(fresh).as_posix() for path in fresh.rglob("*") if path.is_file()}
+    for name in sorted(renewed):
+        (place / name).parent.mkdir(parents=True, exist_ok=True)
+        (fresh / name).replace(place / name)
+    for name in set(EXPORT_FILES) - renewed:
+        (place / name).unlink(missing_ok=True)
+
+
+def _settle(descriptor: int) -> None:
+    """Have the bytes on the disk before the rename, which would otherwise promise too much."""
+    os.fsync(descriptor)
+
+
+def _open_to_all(path: Path) -> None:
+    """Give a temporary file (made 0600) the permissions of an ordinary new file."""
+    mask = os.umask(0)
+    os.umask(mask)
+    path.chmod(0o666 & ~mask)

@@ -1,0 +1,287 @@
+"""The report of a check as one HTML file that needs nothing but a browser.
+
+Everything is inside: styles, plotly's browser library and the figures' data. The content
+security policy in its head forbids every request to anywhere and every script but the two
+written here, so that nothing in a photo's metadata can run or call out.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+import math
+from importlib import metadata, resources
+from pathlib import Path
+
+from plotly.offline import get_plotlyjs
+
+from calib.findings import Finding, State, Verdict
+from calib.photos.photo import Processing
+from calib.propagation import parameter_sigmas
+from calib.report_figures import figures_section
+from calib.result import CheckResult
+from calib.wording import (
+    PARAMETERS,
+    STATE_ORDER,
+    VERDICT_WORDS,
+    camera_name,
+    finding_value,
+    html_text,
+    left_out_by_reason,
+    ordered_findings,
+    parameter_values,
+    path_text,
+    photos_given,
+    quantity,
+    rule_title,
+)
+
+_GROUPS = {State.FLAG: "Not in order", State.UNKNOWN: "Not known", State.PASS: "In order"}
+_PROCESSING = {
+    Processing.RAW: "pixels as the sensor gave them",
+    Processing.LENS_CORRECTED: "lens-corrected in the camera",
+    Processing.UNKNOWN: "lens correction in the camera unknown",
+}
+#: Drawn signs, because fonts differ in what they have: tick, cross, question mark.
+_SIGNS = {
+    State.PASS: '<path d="M6 12.5l4 4 8-9"/>',
+    State.FLAG: '<path d="M7.5 7.5l9 9M16.5 7.5l-9 9"/>',
+    State.UNKNOWN: '<path d="M9 9.5a3 3 0 1 1 4.4 2.7c-1 .6-1.4 1.1-1.4 2.3M12 17.6v.2"/>',
+}
+_VERDICT_SIGNS = {
+    Verdict.TRUST: State.PASS,
+    Verdict.REFLY: State.FLAG,
+    Verdict.CANNOT_TELL: State.UNKNOWN,
+}
+
+
+def render_report(result: CheckResult) -> str:
+    """The whole report as HTML text; the same result gives the same text."""
+    library = get_plotlyjs().replace("</script", "<\\/script")
+    start = _bundled("report.js")
+    policy = (
+        "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; "
+        f"script-src {_script_hash(library)} {_script_hash(start)}; base-uri 'none'; form-action 'none'"
+    )
+    css = _bundled("report.css")
+    title = f"{VERDICT_WORDS[result.verdict]}: {camera_name(result.camera)}"
+    body = "\n".join(
+        [
+            _verdict(result),
+            "<main>",
+            _facts(result),
+            _what_to_fly(result),
+            _findings(result),
+            _left_out(result),
+            figures_section(result),
+            _parameters(result),
+            _provenance(result),
+            _exports(result),
+            "</main>",
+        ]
+    )
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{html_text(title)} - fieldcal</title>
+<style>{css}</style>
+</head>
+<body>
+{body}
+<script>{library}</script>
+<script>{start}</script>
+</body>
+</html>
+"""
+
+
+def _bundled(name: str) -> str:
+    return resources.files("calib").joinpath("data", name).read_text(encoding="utf-8")
+
+
+def _script_hash(script: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+
+
+def _sign(state: State) -> str:
+    return (
+        '<svg viewBox="0 0 24 24" aria-hidden="true" focusable="false" fill="none" stroke="currentColor" '
+        'stroke-width="2.6" stroke-linecap="round" stroke-linejoin="round">'
+        f'<circle cx="12" cy="12" r="10.4"/>{_SIGNS[state]}</svg>'
+    )
+
+
+def _verdict(result: CheckResult) -> str:
+    verdict = result.verdict
+    return (
+        f'<header class="verdict {verdict.value.lower()}"><h1>{_sign(_VERDICT_SIGNS[verdict])}'
+        f"<span>{VERDICT_WORDS[verdict]}</span></h1><p>{html_text(result.headline)}</p></header>"
+    )
+
+
+def _facts(result: CheckResult) -> str:
+    network, solution = result.network, result.solution
+    heights = ", ".join(f"{h:.0f}" for h in network.heights_agl_m)
+    parts = [
+        camera_name(result.camera),
+        f"{photos_given(result)} photos, {len(solution.photos)} aligned",
+        f"{network.nadir} straight down, {network.convergent} convergent",
+    ]
+    if heights:
+        parts.append(f"{heights} m above ground")
+    if math.isfinite(network.gsd_m):
+        parts.append(f"{100 * network.gsd_m:.1f} cm per pixel")
+    return f'<p class="facts">{html_text(" · ".join(parts))}</p>'
+
+
+def _what_to_fly(result: CheckResult) -> str:
+    if result.what_to_fly is None:
+        return ""
+    return (
+        f'<section class="fly" aria-labelledby="fly"><h2 id="fly">What to fly</h2>'
+        f"<p>{html_text(result.what_to_fly)}</p></section>"
+    )
+
+
+def _findings(result: CheckResult) -> str:
+    parts = ['<section aria-labelledby="why"><h2 id="why">Why</h2>']
+    for state in STATE_ORDER:
+        chosen = ordered_findings(result.findings, state)
+        if chosen:
+            parts.append(f"<h3>{_GROUPS[state]} ({len(chosen)})</h3>")
+            parts.append(f'<ul class="findings">{"".join(map(_finding, chosen))}</ul>')
+    return "\n".join([*parts, "</section>"])
+
+
+def _finding(finding: Finding) -> str:
+    measure = [f"<b>{html_text(finding_value(finding))}</b>"]
+    if finding.threshold is not None:
+        measure.append(f"threshold {html_text(quantity(finding.threshold, None, finding.unit))}")
+    if finding.source:
+        measure.append(f"from {html_text(finding.source)}")
+    return (
+        f'<li class="{finding.state.value}">{_sign(finding.state)}<div>'
+        f"<h4>{html_text(rule_title(finding.rule))}</h4><p>{html_text(finding.message)}</p>"
+        f'<p class="measure">{" · ".join(measure)}</p></div></li>'
+    )
+
+
+def _left_out(result: CheckResult) -> str:
+    groups = left_out_by_reason(result)
+    if not groups:
+        return ""
+    parts = ['<section aria-labelledby="left"><h2 id="left">Photos left out</h2>']
+    for reason, paths in groups.items():
+        names = "".join(f"<li><code>{html_text(path_text(path))}</code></li>" for path in paths)
+        parts.append(
+            f"<h3>{html_text(reason[:1].upper() + reason[1:])} ({len(paths)})</h3>"
+            f'<ul class="names">{names}</ul>'
+        )
+    return "\n".join([*parts, "</section>"])
+
+
+def _parameters(result: CheckResult) -> str:
+    estimate = result.estimate
+    held = None if result.reference is None else result.reference.brown
+    values, sigmas = parameter_values(estimate.brown), parameter_sigmas(estimate)
+    others = None if held is None else parameter_values(held)
+    rows = []
+    for key, (name, unit) in PARAMETERS.items():
+        if values[key] == 0 and not sigmas[key] > 0 and not (others and others[key]):
+            continue
+        shown = quantity(values[key], sigmas[key], unit, 6) + (" (held)" if sigmas[key] == 0 else "")
+        other = "" if others is None else f"<td>{html_text(quantity(others[key], None, unit, 6))}</td>"
+        rows.append(f'<tr><th scope="row">{html_text(name)}</th><td>{html_text(shown)}</td>{other}</tr>')
+    column = "" if held is None else '<th scope="col">Reference</th>'
+    return (
+        '<section aria-labelledby="parameters"><h2 id="parameters">Parameters</h2><table>'
+        "<caption>Brown's model fitted to the whole distortion, one standard deviation. K and P in focal "
+        "units unless a unit is given; undistorted to distorted; image corner at (0, 0).</caption>"
+        f'<thead><tr><th scope="col">Parameter</th><th scope="col">This flight</th>{column}</tr></thead>'
+        f"<tbody>{''.join(rows)}</tbody></table></section>"
+    )
+
+
+def _provenance(result: CheckResult) -> str:
+    camera, solution, estimate = result.camera, result.solution, result.estimate
+    georeference, reference, timing = solution.georeference, result.reference, result.timing
+    size = f"{camera.width} × {camera.height} px, {_PROCESSING[camera.processing]}"
+    rows: list[tuple[str, str]] = [
+        ("Camera", f"{camera_name(camera)}, {size}"),
+        ("Serial number", camera.serial or "not in the photos"),
+    ]
+    times = sorted(photo.time for photo in solution.photos if photo.time is not None)
+    if times:
+        rows.append(("Photos taken", f"{times[0]:%Y-%m-%d %H:%M:%S} to {times[-1]:%H:%M:%S}"))
+    if reference is not None:
+        rows.append(
+            ("Reference", f"{reference.name}, {_PROCESSING[reference.processing]}; {reference.source}")
+        )
+    if result.reference_note:
+        rows.append(("About the reference" if reference else "Reference", result.reference_note))
+    if georeference.rms_xy_m is not None:
+        vertical = quantity(georeference.rms_z_m, None, "m")
+        rows.append(
+            (
+                "Geotags against the block",
+                f"{quantity(georeference.rms_xy_m, None, 'm')} horizontal, {vertical} vertical (rms)",
+            )
+        )
+    if georeference.fault:
+        rows.append(("Geotags", georeference.fault))
+    settled = "settled" if solution.converged else "did not settle"
+    rows += [
+        (
+            "Adjustment",
+            f"{len(solution.points_m)} points, {len(solution.observations)} observations, "
+            f"{settled} after {solution.iterations} iterations, sigma0 {solution.sigma0:.2f}",
+        ),
+        (
+            "Sigma of f",
+            f"{quantity(estimate.sigma_f_px, None, 'px')}, from a formal "
+            f"{quantity(estimate.sigma_f_formal_px, None, 'px')}, correlated residuals (variance "
+            f"× {quantity(estimate.correlation_factor)}) and a spread of "
+            f"{quantity(estimate.spread_f_px, None, 'px')} over lens models",
+        ),
+        ("f by lens model", _models(estimate.models)),
+    ]
+    if estimate.rejected_models:
+        rows.append(("Models that fit worse", _models(estimate.rejected_models)))
+    rows += [
+        (
+            "Time",
+            f"{quantity(timing.wall_s, None, 's')}, {quantity(timing.cpu_s, None, 's')} of computing, "
+            f"{quantity(timing.photos_per_s)} photos per second",
+        ),
+        ("Software", f"fieldcal {metadata.version('fieldcal')}, plotly {metadata.version('plotly')}"),
+    ]
+    items = "".join(f"<dt>{html_text(name)}</dt><dd>{html_text(value)}</dd>" for name, value in rows)
+    return (
+        '<section aria-labelledby="provenance"><h2 id="provenance">Where this comes from</h2>'
+        f"<dl>{items}</dl></section>"
+    )
+
+
+def _models(models: dict[str, float]) -> str:
+    return ", ".join(f"{name} {f_px:.2f} px" for name, f_px in models.items()) or "none"
+
+
+def _exports(result: CheckResult) -> str:
+    if not result.exports:
+        return ""
+    items = "".join(
+        f'<li>{html_text(name)}: <a href="{html_text(_relative_url(target))}">{html_text(target)}</a></li>'
+        for name, target in result.exports.items()
+    )
+    return (
+        '<section aria-labelledby="exports"><h2 id="exports">Files for other programs</h2>'
+        f'<ul class="names">{items}</ul></section>'
+    )
+
+
+def _relative_url(target: str) -> str:
+    # "./" keeps a name with a colon from being read as a scheme.
+    return "./" + Path(target).as_posix()

@@ -1,0 +1,250 @@
+"""``report.json``: the check as data, schema ``fieldcal.check/1``.
+
+The pydantic models below are the schema. Numbers are numbers; what is unknown is null (never
+NaN or Infinity). A sigma of 0 means that the parameter was held, not estimated.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+from typing import Any, Literal
+
+from pydantic import BaseModel, ConfigDict, Field
+
+from calib.propagation import correlations, parameter_sigmas
+from calib.reference import Reference
+from calib.result import CheckResult
+from calib.solution import Estimate
+from calib.wording import all_left_out, parameter_values, path_text, photos_given, printable
+
+
+class _Model(BaseModel):
+    model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
+
+
+class FindingModel(_Model):
+    rule: str
+    state: Literal["pass", "flag", "unknown"]
+    value: float | None
+    sigma: float | None
+    unit: str
+    threshold: float | None
+    source: str
+    message: str
+
+
+class CameraModel(_Model):
+    make: str
+    model: str
+    serial: str | None
+    width: int
+    height: int
+    processing: Literal["raw", "lens-corrected", "unknown"]
+
+
+class SigmaModel(_Model):
+    """Standard deviations, by the keys of the calibration."""
+
+    f_px: float | None
+    cx_px: float | None
+    cy_px: float | None
+    k1: float | None
+    k2: float | None
+    k3: float | None
+    k4: float | None
+    p1: float | None
+    p2: float | None
+    b1_px: float | None
+    b2_px: float | None
+    k1_px: float | None
+    k2_px: float | None
+    k3_px: float | None
+
+
+class CalibrationModel(SigmaModel):
+    """Brown parameters: f, c, b in px, K and P in focal units, K*_px in pixel units.
+
+    ``correlation[a][b]`` is given for every pair of estimated parameters.
+    """
+
+    sigma: SigmaModel
+    correlation: dict[str, dict[str, float]]
+
+
+class ReferenceModel(_Model):
+    name: str
+    source: str
+    processing: Literal["raw", "lens-corrected", "unknown"]
+    f_px: float | None
+    note: str
+
+
+class LeftOutModel(_Model):
+    path: str
+    reason: str
+
+
+class AlignmentModel(_Model):
+    """``photos`` given, ``used`` of them handed to the alignment, ``aligned`` of those."""
+
+    photos: int
+    used: int
+    aligned: int
+    components: list[int]
+    points: int
+    observations: int
+    reprojection_rms_px: float | None
+    left_out: list[LeftOutModel]
+
+
+class NetworkModel(_Model):
+    nadir: int
+    convergent: int
+    heights_agl_m: list[float]
+    gsd_m: float | None
+
+
+class GeoreferenceModel(_Model):
+    crs: str | None
+    rms_xy_m: float | None
+    rms_z_m: float | None
+    trusted: bool
+    fault: str | None
+
+
+class DomeModel(_Model):
+    amplitude_m: float | None
+    amplitude_percent: float | None
+    sigma_m: float | None
+
+
+class TimingModel(_Model):
+    wall_s: float | None
+    cpu_s: float | None
+    photos_per_s: float | None
+
+
+class CheckReport(_Model):
+    """The whole of ``report.json``."""
+
+    schema_: Literal["fieldcal.check/1"] = Field(alias="schema")
+    verdict: Literal["TRUST", "REFLY", "CANNOT_TELL"]
+    headline: str
+    what_to_fly: str | None
+    findings: list[FindingModel]
+    camera: CameraModel
+    calibration: CalibrationModel
+    reference: ReferenceModel | None
+    #: Why a candidate reference was not used, or how it was converted.
+    reference_note: str
+    alignment: AlignmentModel
+    network: NetworkModel
+    georeference: GeoreferenceModel
+    dome: DomeModel
+    timing: TimingModel
+    exports: dict[str, str]
+
+
+def report_dict(result: CheckResult) -> dict[str, Any]:
+    """The check as plain dicts, lists, strings and finite numbers."""
+    return check_report(result).model_dump(mode="json", by_alias=True)
+
+
+def report_json(result: CheckResult) -> str:
+    """The check as JSON text."""
+    return json.dumps(report_dict(result), indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def check_report(result: CheckResult) -> CheckReport:
+    camera, solution = result.camera, result.solution
+    return CheckReport(
+        schema="fieldcal.check/1",
+        verdict=result.verdict.value,
+        headline=printable(result.headline),
+        what_to_fly=None if result.what_to_fly is None else printable(result.what_to_fly),
+        findings=[
+            FindingModel(
+                rule=finding.rule,
+                state=finding.state.value,
+                value=_finite(finding.value),
+                sigma=_finite(finding.sigma),
+                unit=finding.unit,
+                threshold=_finite(finding.threshold),
+                source=finding.source,
+                message=printable(finding.message),
+            )
+            for finding in result.findings
+        ],
+        camera=CameraModel(
+            make=printable(camera.make),
+            model=printable(camera.model),
+            serial=None if camera.serial is None else printable(camera.serial),
+            width=camera.width,
+            height=camera.height,
+            processing=camera.processing.value,
+        ),
+        calibration=_calibration(result.estimate),
+        reference=None if result.reference is None else _reference(result.reference, result.reference_note),
+        reference_note=printable(result.reference_note),
+        alignment=AlignmentModel(
+            photos=photos_given(result),
+            used=solution.photos_used,
+            aligned=len(solution.photos),
+            components=list(solution.components),
+            points=len(solution.points_m),
+            observations=len(solution.observations),
+            reprojection_rms_px=_finite(solution.rms_px),
+            left_out=[
+                LeftOutModel(path=path_text(item.path), reason=printable(item.reason))
+                for item in all_left_out(result)
+            ],
+        ),
+        network=NetworkModel(
+            nadir=result.network.nadir,
+            convergent=result.network.convergent,
+            heights_agl_m=[float(h) for h in result.network.heights_agl_m if math.isfinite(h)],
+            gsd_m=_finite(result.network.gsd_m),
+        ),
+        georeference=GeoreferenceModel(
+            crs=solution.georeference.crs,
+            rms_xy_m=_finite(solution.georeference.rms_xy_m),
+            rms_z_m=_finite(solution.georeference.rms_z_m),
+            trusted=bool(solution.georeference.trusted),
+            fault=solution.georeference.fault,
+        ),
+        dome=DomeModel(
+            amplitude_m=_finite(result.dome.amplitude_m),
+            amplitude_percent=_finite(result.dome.amplitude_percent),
+            sigma_m=_finite(result.dome.sigma_m),
+        ),
+        timing=TimingModel(
+            wall_s=_finite(result.timing.wall_s),
+            cpu_s=_finite(result.timing.cpu_s),
+            photos_per_s=_finite(result.timing.photos_per_s),
+        ),
+        exports=dict(result.exports),
+    )
+
+
+def _calibration(estimate: Estimate) -> CalibrationModel:
+    values = {key: _finite(value) for key, value in parameter_values(estimate.brown).items()}
+    sigma = {key: _finite(value) for key, value in parameter_sigmas(estimate).items()}
+    keys, matrix = correlations(estimate.covariance)
+    table = {a: {b: float(matrix[i, j]) for j, b in enumerate(keys)} for i, a in enumerate(keys)}
+    return CalibrationModel(**values, sigma=SigmaModel(**sigma), correlation=table)
+
+
+def _reference(reference: Reference, note: str) -> ReferenceModel:
+    return ReferenceModel(
+        name=printable(reference.name),
+        source=printable(reference.source),
+        processing=reference.processing.value,
+        f_px=None if reference.brown is None else _finite(reference.brown.f_px),
+        note=printable(note),
+    )
+
+
+def _finite(value: float | None) -> float | None:
+    """``value`` as a float, or None where it is unknown or not a number."""
+    return None if value is None or not math.isfinite(value) else float(value)

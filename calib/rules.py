@@ -1,0 +1,33 @@
+"""All rules of the field check in the order in which they are reported."""
+
+from __future__ import annotations
+
+from calib.rules_network import (
+    alignment,
+    convergent_share,
+    coverage,
+    cross_validation,
+    focal_sigma,
+    model_sensitivity,
+)
+from calib.rules_reference import (
+    equifinal_deviation,
+    equifinal_line,
+    focal_drift,
+    opposite_signs,
+    predicted_dome,
+)
+
+RULES = (
+    focal_drift,
+    equifinal_deviation,
+    equifinal_line,
+    opposite_signs,
+    convergent_share,
+    predicted_dome,
+    focal_sigma,
+    cross_validation,
+    model_sensitivity,
+    coverage,
+    alignment,
+)

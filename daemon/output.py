@@ -1,0 +1,43 @@
+"""Writing results where the user asked for them: terminal tables and JSON."""
+
+from __future__ import annotations
+
+import json
+import sys
+from pathlib import Path
+
+from rich.console import Console
+from rich.table import Table
+from rich.text import Text
+
+from calib.errors import OutputError
+
+
+def console() -> Console:
+    """A console on stdout that prints text as it is: no markup, no emoji, no colouring of numbers."""
+    return Console(markup=False, emoji=False, highlight=False)
+
+
+def table(*columns: str, title: str | None = None, numbers: tuple[str, ...] = ()) -> Table:
+    """A plain table for 80 columns; ``numbers`` are the columns set flush right."""
+    made = Table(title=None if title is None else Text(title), title_justify="left", box=None, pad_edge=False)
+    for column in columns:
+        made.add_column(Text(column), justify="right" if column in numbers else "left", overflow="fold")
+    return made
+
+
+def write_json(data: object, target: str) -> None:
+    """Write ``data`` to the file ``target``, or alone to stdout for "-".
+
+    Raises:
+        OutputError: the file cannot be written.
+    """
+    text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+    if target == "-":
+        sys.stdout.write(text)
+        sys.stdout.flush()
+        return
+    try:
+        Path(target).write_text(text, encoding="utf-8")
+    except OSError as error:
+        raise OutputError(f"{target} cannot be written: {error.strerror}.") from error

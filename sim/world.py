@@ -1,0 +1,184 @@
+"""Ground to photograph: relief with a texture of fields, paths, stones and bushes."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import cv2
+import numpy as np
+from numpy.typing import NDArray
+
+from calib.camera import FloatArray
+from sim.relief import Relief
+
+ByteImage = NDArray[np.uint8]
+_Image32 = NDArray[np.float32]
+
+#: The raster's side is a multiple of this, so that every level of the pyramid covers the same ground.
+_LEVELS = 6
+
+
+@dataclass(frozen=True)
+class World:
+    """Relief and texture around the origin; x east, y north, z up (metres).
+
+    ``pyramid``: RGB rasters (side, side, 3), row 0 northernmost, each level half the one before.
+    The raster reaches ``half_m`` east, west, north and south; beyond it the texture is mirrored.
+    """
+
+    relief: Relief
+    pyramid: tuple[ByteImage, ...]
+    texel_m: float
+
+    @property
+    def half_m(self) -> float:
+        return 0.5 * self.texel_m * len(self.pyramid[0])
+
+    def points_m(self, east_north_m: FloatArray) -> FloatArray:
+        """Ground points (n, 3) at positions (n, 2)."""
+        east, north = east_north_m.T
+        return np.column_stack([east_north_m, self.relief.height_m(east, north)])
+
+    def with_dots(self, east_north_m: FloatArray, sigma_m: float) -> World:
+        """Grey ground with white round dots (Gaussian of ``sigma_m``) at positions (n, 2): for tests."""
+        side = self.pyramid[0].shape[0]
+        canvas = np.full((side, side), 60.0)
+        reach = int(np.ceil(5 * sigma_m / self.texel_m))
+        offsets = np.arange(-reach, reach + 1)
+        for east, north in east_north_m:
+            column = (east + self.half_m) / self.texel_m - 0.5
+            row = (self.half_m - north) / self.texel_m - 0.5
+            columns, rows = round(float(column)) + offsets, round(float(row)) + offsets
+            scale = self.texel_m / sigma_m
+            along = np.exp(-0.5 * ((columns - column) * scale) ** 2)
+            down = np.exp(-0.5 * ((rows - row) * scale) ** 2)
+            canvas[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += 190 * np.outer(down, along)
+        grey = np.clip(np.rint(canvas), 0, 255).astype(np.uint8)
+        return replace(self, pyramid=_pyramid(np.repeat(grey[..., None], 3, axis=2)))
+
+
+def make_world(seed: int, *, half_m: float = 150.0, texel_m: float = 0.08, relief_m: float = 2.0) -> World:
+    """A piece of farmland, the same for the same arguments; rendering it takes about a second per
+    ten million texels."""
+    rng = np.random.default_rng([seed, 5])
+    step = 2**_LEVELS
+    side = step * int(np.ceil(2 * half_m / texel_m / step))
+    canvas = _fields(rng, side, texel_m)
+    shade = _multi_scale(rng, side, texel_m)
+    for first in range(0, side, 256):  # in bands: a fine world is hundreds of megabytes as it is
+        band = np.s_[first : first + 256]
+        canvas[band] = np.clip(canvas[band] * (1 + np.float32(0.16) * shade[band, :, None]), 0, 255)
+    _paths(rng, canvas, texel_m)
+    _bushes(rng, canvas, texel_m)
+    _stones(rng, canvas, texel_m)
+    return World(Relief.random(seed, relief_m), _pyramid(canvas), texel_m)
+
+
+def _pyramid(base: ByteImage) -> tuple[ByteImage, ...]:
+    levels = [base]
+    for _ in range(_LEVELS - 1):
+        half = levels[-1].shape[0] // 2
+        levels.append(
+            np.asarray(cv2.resize(levels[-1], (half, half), interpolation=cv2.INTER_AREA), np.uint8)
+        )
+    return tuple(levels)
+
+
+def _noise(rng: np.random.Generator, side: int, cells: int) -> _Image32:
+    """Smooth noise of unit variance at the nodes, ``cells`` of them along each side."""
+    nodes = rng.standard_normal((cells + 2, cells + 2), dtype=np.float32)
+    if cells + 2 >= side:
+        return nodes[:side, :side]
+    return np.asarray(cv2.resize(nodes, (side, side), interpolation=cv2.INTER_CUBIC), np.float32)
+
+
+def _multi_scale(rng: np.random.Generator, side: int, texel_m: float) -> _Image32:
+    """Brightness at all scales from 60 m down to a texel; neighbouring scales alike in strength."""
+    total = np.zeros((side, side), np.float32)
+    size = 60.0
+    while size >= 0.9 * texel_m:
+        total += _noise(rng, side, max(int(side * texel_m / size), 2)) * np.float32(0.6 if size > 4 else 0.8)
+        size /= 2
+    return total * np.float32(0.5)
+
+
+def _fields(rng: np.random.Generator, side: int, texel_m: float) -> ByteImage:
+    """Colours (side, side, 3) of meadows, stubble and bare soil with soft, crooked borders."""
+    palette = np.array(
+        [[96, 116, 62], [124, 132, 78], [150, 136, 98], [118, 98, 74], [86, 104, 66], [164, 152, 112]]
+    )
+    coarse = int(side * texel_m / 0.5)
+    half = side * texel_m / 2
+    count = int((2 * half / 45) ** 2)
+    middles = rng.uniform(-half, half, (count, 2))
+    kinds = rng.integers(0, len(palette), count)
+    ticks = np.linspace(-half, half, coarse)
+    where = np.stack(np.meshgrid(ticks, ticks), axis=-1)
+    bend = np.stack([_noise(rng, coarse, max(coarse // 30, 2)) for _ in range(2)], axis=-1)
+    warped = where + 2.5 * bend
+    nearest = np.zeros((coarse, coarse), int)
+    best = np.full((coarse, coarse), np.inf)
+    for i, (middle, kind) in enumerate(zip(middles, kinds, strict=True)):
+        # Oblong cells, as fields are; none of them reaches farther than 80 m.
+        turn = 0.6 + (i % 3) * 0.5
+        first, last = np.searchsorted(ticks, [middle - 80, middle + 80])
+        window = np.s_[first[1] : last[1], first[0] : last[0]]
+        d = (warped[window] - middle) @ np.array(
+            [[np.cos(turn), -np.sin(turn)], [np.sin(turn), np.cos(turn)]]
+        )
+        distance = d[..., 0] ** 2 + 2.0 * d[..., 1] ** 2
+        closer = distance < best[window]
+        best[window][closer], nearest[window][closer] = distance[closer], kind
+    tint = palette.astype(np.uint8)[nearest]
+    return np.asarray(cv2.resize(tint, (side, side), interpolation=cv2.INTER_LINEAR), np.uint8)
+
+
+def _paths(rng: np.random.Generator, canvas: ByteImage, texel_m: float) -> None:
+    side = canvas.shape[0]
+    length = side * texel_m
+    for _ in range(max(int(length / 60), 3)):
+        start, end = rng.uniform(0, length, (2, 2)), rng.uniform(0, length, (2, 2))
+        a, b, c, d = start[0], start[1], end[0], end[1]
+        t = np.linspace(-0.3, 1.3, 80)[:, None]
+        curve = (1 - t) ** 3 * a + 3 * (1 - t) ** 2 * t * b + 3 * (1 - t) * t**2 * c + t**3 * d
+        points = np.rint(curve / texel_m * 16).astype(np.int32)
+        width = max(int(rng.uniform(0.8, 2.5) / texel_m), 1)
+        colour = (rng.uniform(0.85, 1.1) * np.array([178, 164, 138])).tolist()
+        # Paths are blended, so that the ground's texture goes on under them.
+        mask = np.zeros((side, side), np.uint8)
+        cv2.polylines(mask, [points], False, 255, width, cv2.LINE_AA, 4)
+        on = mask > 0
+        weight = 0.65 * mask[on].astype(np.float32)[:, None] / 255
+        canvas[on] = (canvas[on] * (1 - weight) + np.array(colour, np.float32) * weight).astype(np.uint8)
+
+
+def _bushes(rng: np.random.Generator, canvas: ByteImage, texel_m: float) -> None:
+    side = canvas.shape[0]
+    for _ in range(int((side * texel_m) ** 2 / 350)):
+        middle = rng.uniform(0, side, 2)
+        size = rng.uniform(0.5, 2.2)
+        green = np.array([52, 74, 40]) * rng.uniform(0.7, 1.2)
+        for _ in range(14):
+            at = middle + rng.normal(size=2) * size / texel_m * 0.5
+            light = rng.uniform(0.6, 1.5)
+            _disc(canvas, at, rng.uniform(0.2, 0.55) * size / texel_m * 0.6, np.clip(green * light, 0, 255))
+
+
+def _stones(rng: np.random.Generator, canvas: ByteImage, texel_m: float) -> None:
+    side = canvas.shape[0]
+    area = (side * texel_m) ** 2
+    for _ in range(int(area / 5)):
+        at = rng.uniform(0, side, 2)
+        radius = 0.06 * rng.pareto(2.2) + 0.08  # many small, few large
+        if radius > 0.6:
+            continue
+        grey = rng.uniform(90, 225) * np.array([1.0, 0.98, 0.93])
+        shadow = rng.uniform(30, 60) * np.ones(3)
+        _disc(canvas, at + 0.45 * radius / texel_m, radius / texel_m, shadow)
+        _disc(canvas, at, radius / texel_m, np.clip(grey, 0, 255))
+
+
+def _disc(canvas: ByteImage, at: FloatArray, radius: float, colour: FloatArray) -> None:
+    """An anti-aliased disc at sub-texel position (OpenCV's fixed point with 4 bits)."""
+    centre = (int(at[0] * 16), int(at[1] * 16))
+    cv2.circle(canvas, centre, max(int(radius * 16), 8), colour.tolist(), -1, cv2.LINE_AA, 4)
