@@ -22,6 +22,7 @@ from typer.exceptions import Abort, TyperException
 
 from calib.errors import FieldcalError
 from daemon.cli_cameras import app as cameras_app
+from daemon.cli_check import check
 from daemon.cli_equifinal import equifinal
 
 app = typer.Typer(
@@ -32,6 +33,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
     rich_markup_mode=None,
 )
+app.command("check")(check)
 app.add_typer(cameras_app, name="cameras")
 app.command("equifinal")(equifinal)
 

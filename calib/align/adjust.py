@@ -593,7 +593,7 @@ def ray_angle_deg(centres_m: FloatArray, points_m: FloatArray, obs: Observations
     direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
     direction = np.where(np.isfinite(direction), direction, 0.0)
     m = len(points_m)
-    mean = np.stack([np.bincount(obs.point, direction[:, i], m) for i in range(3)], axis=1)
+    mean = np.stack([np.bincount(obs.point, direction[:, i], m) for i in range(3)], axis=1).astype(float)
     mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
     cosine = np.clip(np.sum(direction * mean[obs.point], axis=1), -1, 1)
     angle = np.zeros(m)

@@ -53,13 +53,19 @@ def decode_gray(path: Path, longer_side_px: int | None) -> tuple[NDArray[np.uint
     image = cv2.imdecode(data, flags) if len(data) else None
     if image is None:
         raise PhotoError(f"{path}: the image data cannot be decoded; copy the file from the card again.")
-    side = max(image.shape)
-    if longer_side_px is None or side <= longer_side_px:
-        return np.asarray(image, dtype=np.uint8), 1.0
-    factor = longer_side_px / side
+    full = np.asarray(image, dtype=np.uint8)
+    if longer_side_px is None or max(full.shape) <= longer_side_px:
+        return full, 1.0
+    return reduced(full, longer_side_px), longer_side_px / max(full.shape)
+
+
+def reduced(image: NDArray[np.uint8], longer_side_px: int) -> NDArray[np.uint8]:
+    """``image`` averaged down to a longer side of ``longer_side_px`` (as it is where it is smaller)."""
+    factor = longer_side_px / max(image.shape)
+    if factor >= 1:
+        return image
     size = (round(image.shape[1] * factor), round(image.shape[0] * factor))
-    reduced = cv2.resize(image, size, interpolation=cv2.INTER_AREA)
-    return np.asarray(reduced, dtype=np.uint8), factor
+    return np.asarray(cv2.resize(image, size, interpolation=cv2.INTER_AREA), dtype=np.uint8)
 
 
 def _spread(pixels: FloatArray, response: FloatArray, count: int, shape: tuple[int, int]) -> NDArray[np.intp]:

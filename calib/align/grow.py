@@ -321,3 +321,25 @@ def _quality(obs: Observations, block: Partial) -> float:
     return float(block.registered.sum()) * share
 
 
+
+
+def resume_block(
+    obs: Observations, earlier: Partial, n_photos: int, seed: int, tick: Callable[[], None] | None = None
+) -> Partial | None:
+    """Go on from the poses of an earlier block whose photos are the first of these; None if they do not fit."""
+    known = len(earlier.registered)
+    registered = np.zeros(n_photos, bool)
+    registered[:known] = earlier.registered
+    rotations = np.tile(np.eye(3), (n_photos, 1, 1))
+    rotations[:known] = earlier.rotations
+    centres = np.zeros((n_photos, 3))
+    centres[:known] = earlier.centres
+    n_points = int(obs.point.max()) + 1
+    block = Partial(
+        earlier.lens, registered, rotations, centres, np.full((n_points, 3), np.nan), np.zeros(len(obs), bool)
+    )
+    side = max(earlier.lens.brown.width, earlier.lens.brown.height)
+    block = reject_and_triangulate(obs, block, 0.004 * side, 1.0)
+    if _quality(obs, block) < 0.6 * registered.sum():
+        return None
+    return grow(obs, block, seed, n_photos, tick)

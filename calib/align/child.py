@@ -1,0 +1,162 @@
+"""The heavy work in a process of its own: a crash or a memory limit there costs a retry, no more."""
+
+from __future__ import annotations
+
+import multiprocessing
+import os
+import resource
+import signal
+import time
+from dataclasses import dataclass
+from multiprocessing.connection import Connection
+
+import numpy as np
+
+from calib.align.dome import predict_dome
+from calib.align.engine import Aligner, Progress, Settings
+from calib.align.network import measure_network
+from calib.align.uncertainty import estimate
+from calib.errors import AlignmentError, FieldcalError
+from calib.field import Lens
+from calib.photos.photo import Photo
+from calib.solution import Dome, Estimate, Network, Solution
+
+#: Threads inside numerical libraries gain nothing on blocks of this size and fight each other.
+_SINGLE_THREADED = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")}
+
+
+@dataclass(frozen=True)
+class Job:
+    """What the child is to do. ``reference``: the total mapping to hold the dome against."""
+
+    photos: tuple[Photo, ...]
+    reference: Lens | None
+    settings: Settings = Settings()
+    time_limit_s: float = 3600.0
+    memory_limit_bytes: int | None = None
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """What came out."""
+
+    solution: Solution
+    estimate: Estimate
+    network: Network
+    dome: Dome
+
+
+def work(job: Job, progress: Progress) -> Outcome:
+    """Align, self-calibrate and measure the uncertainty, in this process.
+
+    Raises:
+        AlignmentError: the photos cannot be joined.
+    """
+    aligner = Aligner(job.settings, progress)
+    aligner.add_all(job.photos)
+    aligned = aligner.solve()
+    solution = aligned.solution
+
+    def tick() -> None:
+        progress("comparing models", 0, 0)
+
+    honest = estimate(aligned.calibrated, tick)
+    network = measure_network(
+        solution.rotations_cam_from_world,
+        solution.centres_m,
+        solution.points_m,
+        solution.observations,
+        honest.brown.f_px,
+    )
+    height = float(np.median(network.height_agl_m))
+    dome = predict_dome(aligned.calibrated, honest.lens_covariance, job.reference, height, tick)
+    return Outcome(solution, honest, network, dome)
+
+
+def _child(job: Job, pipe: Connection) -> None:
+    # Ctrl-C goes to the parent, which ends this process.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    if job.memory_limit_bytes is not None:
+        resource.setrlimit(resource.RLIMIT_AS, (job.memory_limit_bytes, job.memory_limit_bytes))
+    last = 0.0
+
+    def progress(stage: str, done: int, total: int) -> None:
+        nonlocal last
+        now = time.monotonic()
+        if now - last > 0.05 or done == total:
+            last = now
+            pipe.send(("progress", (stage, done, total)))
+
+    try:
+        pipe.send(("done", work(job, progress)))
+    except FieldcalError as error:
+        pipe.send(("error", (type(error), str(error))))
+    except MemoryError:
+        pipe.send(("memory", None))
+
+
+def run_job(job: Job, progress: Progress, attempts: int = 2) -> Outcome:
+    """Run ``job`` in a child process; once more if the child dies.
+
+    Raises:
+        AlignmentError: the photos cannot be joined, time or memory ran out, or the child died twice.
+    """
+    for attempt in range(attempts):
+        outcome = _run_once(job, progress)
+        if outcome is not None:
+            return outcome
+        progress("starting again", attempt + 1, attempts)
+    raise AlignmentError(
+        f"The alignment process died {attempts} times; the machine is probably short of memory. "
+        "Close other programs or give fewer photos."
+    )
+
+
+def _run_once(job: Job, progress: Progress) -> Outcome | None:
+    """One attempt; None when the child died without a word."""
+    context = multiprocessing.get_context("spawn")
+    here, there = context.Pipe(duplex=False)
+    process = context.Process(target=_child, args=(job, there), daemon=True)
+    before = {name: os.environ.get(name) for name in _SINGLE_THREADED}
+    os.environ.update(_SINGLE_THREADED)
+    try:
+        process.start()
+    finally:
+        for name, value in before.items():
+            if value is None:
+                del os.environ[name]
+            else:
+                os.environ[name] = value
+    there.close()
+    deadline = time.monotonic() + job.time_limit_s
+    try:
+        while True:
+            if time.monotonic() > deadline:
+                raise AlignmentError(
+                    f"The alignment did not finish within {job.time_limit_s:.0f} s; give fewer photos."
+                )
+            if not here.poll(0.2):
+                continue
+            try:
+                kind, content = here.recv()
+            except EOFError:
+                return None
+            if kind == "progress":
+                progress(*content)
+            elif kind == "done":
+                outcome: Outcome = content
+                return outcome
+            elif kind == "memory":
+                return None
+            else:
+                error_type, message = content
+                raise error_type(message)
+    finally:
+        here.close()
+        process.terminate()
+        process.join(5)
+        if process.is_alive():
+            process.kill()
+            process.join()
+
+

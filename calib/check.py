@@ -1,0 +1,103 @@
+"""The field check: photos in, verdict out. Everything but the words for the pilot."""
+
+from __future__ import annotations
+
+import resource
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from calib.align.child import Job, Outcome, run_job
+from calib.align.engine import Progress, Settings
+from calib.equifinal import tolerance_px
+from calib.evidence import gather_evidence
+from calib.judge import judge
+from calib.photos import LeftOut, Photo, Sorted, read_photos, require_block, sort_photos
+from calib.photos.collect import collect
+from calib.reference import Reference
+from calib.reference_match import match_reference
+from calib.references import find_reference, load_reference
+from calib.result import CheckResult, Timing
+
+
+@dataclass(frozen=True)
+class Options:
+    """``reference``: name or file; None looks for one by camera."""
+
+    reference: str | None = None
+    settings: Settings = Settings()
+
+
+def read_set(paths: Sequence[Path], progress: Progress) -> Sorted:
+    """The photos of one flight of one camera among files and folders.
+
+    Raises:
+        InputError: nothing usable; one sentence.
+    """
+    files = collect(paths)
+    photos, bad = read_photos(files, lambda done: progress("reading metadata", done, len(files)))
+    return sort_photos(photos, bad)
+
+
+def choose_reference(photo: Photo, wanted: str | None) -> tuple[Reference | None, str]:
+    """The reference for these photos, converted to their size, and a sentence about it."""
+    if wanted is None:
+        return find_reference(photo.camera)
+    return match_reference(load_reference(wanted), photo.camera, named=True)
+
+
+def check_photos(photos: Sorted, options: Options, progress: Progress) -> CheckResult:
+    """Align, calibrate and judge.
+
+    Raises:
+        FieldcalError: the photos cannot be used; one sentence.
+    """
+    require_block(photos)
+    started, cpu = time.monotonic(), _cpu_s()
+    reference, note = choose_reference(photos.used[0], options.reference)
+    lens = None if reference is None else reference.lens
+    outcome = run_job(Job(photos.used, lens, options.settings), progress)
+    wall = time.monotonic() - started
+    timing = Timing(wall, _cpu_s() - cpu, len(photos.used) / max(wall, 1e-9))
+    return conclude(outcome, photos.left_out, reference, note, timing)
+
+
+def conclude(
+    outcome: Outcome,
+    left_out: tuple[LeftOut, ...],
+    reference: Reference | None,
+    note: str,
+    timing: Timing,
+) -> CheckResult:
+    """Hold what the alignment found against the rules."""
+    dome = outcome.dome
+    tolerance = tolerance_px(dome.flying_height_m, 2 * dome.site_radius_m)
+    evidence = gather_evidence(
+        outcome.solution, outcome.estimate, outcome.network, dome, reference, note, tolerance
+    )
+    verdict, headline, findings = judge(evidence)
+    return CheckResult(
+        verdict=verdict,
+        headline=headline,
+        findings=findings,
+        camera=outcome.solution.photos[0].camera,
+        solution=outcome.solution,
+        estimate=outcome.estimate,
+        network=outcome.network,
+        dome=dome,
+        reference=reference,
+        reference_note=note,
+        line=evidence.line,
+        what_to_fly=None,
+        left_out=left_out,
+        timing=timing,
+    )
+
+
+def _cpu_s() -> float:
+    """CPU seconds of this process and its finished children."""
+    return sum(
+        usage.ru_utime + usage.ru_stime
+        for usage in (resource.getrusage(resource.RUSAGE_SELF), resource.getrusage(resource.RUSAGE_CHILDREN))
+    )

@@ -1,0 +1,150 @@
+"""``fieldcal check``: photos of one flight in, a verdict out."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from datetime import date
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.console import Console
+from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
+
+from calib import frames
+from calib.align.engine import Progress as Report
+from calib.check import Options, check_photos, read_set
+from calib.errors import InputError
+from calib.findings import State, Verdict
+from calib.output import check_writable, write_outputs, write_text_atomic
+from calib.photos.sort import require_block
+from calib.references import is_bundled, load_reference, reference_from_estimate, save_reference
+from calib.report_json import report_json
+from calib.result import CheckResult
+from daemon.output import console
+from daemon.terminal import print_summary
+from mission.advice import describe_circle
+
+#: A reference must be known four times better than what it is to judge: 1.96 sigma within 0.1 %.
+REFERENCE_SIGMA_PERCENT = 0.05
+DEFAULT_OUT = Path("fieldcal-out")
+
+
+def check(
+    photos: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Photos, or folders of photos.")],
+    reference: Annotated[
+        str | None, typer.Option(metavar="NAME|FILE", help="Hold the calibration against this reference.")
+    ] = None,
+    save_reference_as: Annotated[
+        str | None,
+        typer.Option("--save-reference", metavar="NAME", help="Keep this calibration as a reference."),
+    ] = None,
+    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the report and the exports go.")] = DEFAULT_OUT,
+    json_to: Annotated[
+        str | None, typer.Option("--json", metavar="FILE|-", help="Also write report.json here, or to stdout.")
+    ] = None,
+    quiet: Annotated[bool, typer.Option("--quiet", help="Only the verdict; no progress.")] = False,
+) -> int:
+    """Can this survey's camera calibration be trusted? Exit code 0 TRUST, 3 REFLY, 4 CANNOT TELL."""
+    if save_reference_as is not None and is_bundled(save_reference_as):
+        raise InputError(f"{save_reference_as} is a bundled reference; save under another name.")
+    if reference is not None:
+        load_reference(reference)  # A wrong name is said before a minute's work.
+    with _progress(quiet or not sys.stderr.isatty()) as report:
+        found = read_set(photos, report)
+        require_block(found)
+        check_writable(out)
+        result = check_photos(found, Options(reference), report)
+    result = replace(result, what_to_fly=what_to_fly(result))
+    result = replace(result, exports=write_outputs(result, out))
+    if json_to is not None:
+        _write_json(result, json_to)
+    if json_to != "-":
+        _show(result, found.notes, out, quiet)
+    if save_reference_as is not None:
+        print(_save(result, save_reference_as), file=sys.stderr)
+    return result.verdict.exit_code
+
+
+def what_to_fly(result: CheckResult) -> str | None:
+    """Advice for the pilot where flying can cure what was flagged."""
+    if result.verdict is not Verdict.REFLY:
+        return None
+    georeference = result.solution.georeference
+    if not georeference.trusted or georeference.origin_wgs84 is None:
+        return describe_circle(None)
+    frame = frames.LocalFrame(*georeference.origin_wgs84)
+    middle = frame.geodetic(np.median(result.solution.points_m, axis=0)[None])[0]
+    return describe_circle(result.dome.flying_height_m, (float(middle[0]), float(middle[1])))
+
+
+def _save(result: CheckResult, name: str) -> str:
+    estimate = result.estimate
+    sigma = 100 * estimate.sigma_f_px / estimate.brown.f_px
+    broken = [f.rule for f in result.findings if f.state is State.FLAG and f.rule in ("alignment", "cross-validation")]
+    if sigma > REFERENCE_SIGMA_PERCENT or broken:
+        why = (
+            f"its focal length is known to {sigma:.2f} % only and a reference needs {REFERENCE_SIGMA_PERCENT} %"
+            if not broken
+            else f"it is flagged for {', '.join(broken)}"
+        )
+        return f"fieldcal: not saved as reference {name}: {why}."
+    times = [p.time for p in result.solution.photos if p.time is not None]
+    day = (min(times).date() if times else date.today()).isoformat()
+    path = save_reference(
+        reference_from_estimate(
+            name,
+            estimate,
+            result.camera,
+            day,
+            source=f"self-calibration of {len(result.solution.photos)} photos by fieldcal check",
+            provenance=f"{result.network.nadir} nadir and {result.network.convergent} convergent photos, "
+            f"{result.solution.rms_px:.2f} px rms, sigma f {sigma:.3f} %",
+        )
+    )
+    return f"fieldcal: saved as reference {name} ({path})."
+
+
+def _write_json(result: CheckResult, target: str) -> None:
+    text = report_json(result)
+    if target == "-":
+        sys.stdout.write(text if text.endswith("\n") else text + "\n")
+        sys.stdout.flush()
+    else:
+        write_text_atomic(Path(target), text)
+
+
+def _show(result: CheckResult, notes: tuple[str, ...], out: Path, quiet: bool) -> None:
+    if quiet:
+        print(f"{result.verdict.value}: {result.headline}")
+        return
+    for note in notes:
+        print(note)
+    print_summary(result, console(), out / "report.html")
+
+
+@contextmanager
+def _progress(hidden: bool) -> Iterator[Report]:
+    """A progress line on stderr that names the stage."""
+    if hidden:
+        yield lambda stage, done, total: None
+        return
+    bar = Progress(
+        SpinnerColumn(),
+        TextColumn("{task.description:<22}"),
+        BarColumn(bar_width=30),
+        MofNCompleteColumn(),
+        console=Console(stderr=True),
+        transient=True,
+    )
+    with bar:
+        task = bar.add_task("starting", total=None)
+
+        def report(stage: str, done: int, total: int) -> None:
+            bar.update(task, description=stage, completed=done if total else 0, total=total or None)
+
+        yield report
