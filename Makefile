@@ -28,7 +28,7 @@ bench: $(STAMP)
 	$(BIN)/python -m benchmarks
 
 campaign: $(STAMP)
-	$(BIN)/python -m benchmarks.campaign
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.campaign
 
 # For maintainers: renew the lock (uv from the package registry); no index or host is written into it.
 lock:

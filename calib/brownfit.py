@@ -7,6 +7,8 @@ fit is what fieldcal calls f: it means the same for every model the lens was est
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
@@ -25,16 +27,18 @@ def image_grid_rays(lens: Lens, columns: int = 28, rows: int = 21) -> FloatArray
     return good
 
 
-def fit_brown(lens: Lens, keep_k4: bool = False) -> tuple[BrownCamera, FloatArray]:
+def fit_brown(lens: Lens, keep_k4: bool = False, affinity: bool = True) -> tuple[BrownCamera, FloatArray]:
     """Brown camera nearest to the total mapping of ``lens``, and d fitted / d lens (11, 35).
 
     Least squares of pixel differences over a uniform grid. K4 is kept as it is where the lens was
-    estimated with one (``keep_k4``).
+    estimated with one (``keep_k4``). Without ``affinity``, b1 and b2 are zero and the rest makes up
+    for them: many programs cannot hold them.
     """
     rays = image_grid_rays(lens)
-    columns = np.array([n in FITTED or (keep_k4 and n == "k4") for n in BROWN_NAMES])
+    fitted = {n for n in FITTED if affinity or n not in ("b1", "b2")} | ({"k4"} if keep_k4 else set())
+    columns = np.array([n in fitted for n in BROWN_NAMES])
     target, _, by_lens = lens.derivatives(rays)
-    camera = lens.brown
+    camera = lens.brown if affinity else replace(lens.brown, b1_px=0.0, b2_px=0.0)
     for _ in range(10):
         pixels, _, by_param = camera.derivatives(rays)
         design = by_param[:, :, columns].reshape(-1, int(columns.sum()))

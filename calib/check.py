@@ -5,7 +5,7 @@ from __future__ import annotations
 import resource
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from pathlib import Path
 
 from calib.align.child import Job, Outcome, run_job
@@ -26,7 +26,7 @@ class Options:
     """``reference``: name or file; None looks for one by camera."""
 
     reference: str | None = None
-    settings: Settings = Settings()
+    settings: Settings = field(default_factory=Settings)
 
 
 def read_set(paths: Sequence[Path], progress: Progress) -> Sorted:
@@ -72,7 +72,8 @@ def conclude(
 ) -> CheckResult:
     """Hold what the alignment found against the rules."""
     dome = outcome.dome
-    tolerance = tolerance_px(dome.flying_height_m, 2 * dome.site_radius_m)
+    metric = outcome.solution.georeference.metric
+    tolerance = tolerance_px(dome.flying_height_m if metric else None, 2 * dome.site_radius_m)
     evidence = gather_evidence(
         outcome.solution, outcome.estimate, outcome.network, dome, reference, note, tolerance
     )

@@ -87,6 +87,7 @@ class Evidence:
     #: Signed, percent of the flying height; the amplitude needs a reference, the sigma does not.
     dome_percent: float | None = None
     sigma_dome_percent: float | None = None
+    #: None as well where the block has no scale in metres.
     dome_m: float | None = None
 
     #: f of the odd minus f of the even photos, and the largest projection difference in sigmas.
@@ -163,7 +164,7 @@ def gather_evidence(
         heights_agl_m=network.heights_agl_m,
         dome_percent=None if dome is None else dome.amplitude_percent,
         sigma_dome_percent=None if dome is None or not height > 0 else 100 * dome.sigma_m / height,
-        dome_m=None if dome is None else dome.amplitude_m,
+        dome_m=None if dome is None or not solution.georeference.metric else dome.amplitude_m,
         split_f_px=_finite(estimate.split_f_px),
         split_sigma_f_px=_finite(estimate.split_sigma_f_px),
         split_profile_ratio=_finite(estimate.split_profile_ratio),
@@ -175,7 +176,8 @@ def gather_evidence(
         components=solution.components,
         rms_px=solution.rms_px,
         converged=solution.converged,
-        geotag_fault=solution.georeference.fault,
+        # Too few positions to fit contradict nothing.
+        geotag_fault=None if solution.georeference.rms_xy_m is None else solution.georeference.fault,
     )
 
 

@@ -4,16 +4,20 @@ from __future__ import annotations
 
 import csv
 import io
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 
+from calib.brownfit import fit_brown
+from calib.camera import BROWN_NAMES, BrownCamera
 from calib.errors import FormatError
 from calib.export_colmap import COLMAP_FILES, write_colmap
 from calib.formats import FORMATS, WriteOptions
 from calib.frames import rotation_cam_from_world
 from calib.photos.photo import GimbalAngles, Photo, Position
 from calib.result import CheckResult
+from calib.solution import Estimate
 from calib.wording import printable
 
 #: Calibration files that every check writes: name of the export -> (format, file name).
@@ -38,6 +42,9 @@ EXPORT_FILES = (
     *(f"{COLMAP}/{name}" for name in COLMAP_FILES),
 )
 
+#: What a format may cost where it cannot hold the lens exactly; said in ``not_written.txt``.
+EXPORT_TOLERANCE_PX = 1.0
+
 _NED_FROM_WORLD = np.array([[0.0, 1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, -1.0]])
 #: Body of a drone whose camera looks down, image top forward: camera x = body y, y = -body x.
 _CAM_FROM_BODY = np.array([[0.0, 1.0, 0.0], [-1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
@@ -60,13 +67,17 @@ def write_exports(result: CheckResult, folder: Path) -> dict[str, str]:
     solution = result.solution
     written: dict[str, str] = {}
     missing: list[str] = []
-    brown, options = result.estimate.brown, _options(result)
+    brown, options = exported_camera(result.estimate), _options(result)
     for name, (format_name, file_name) in CALIBRATIONS.items():
         try:
             text = FORMATS[format_name].write(brown, options)
         except FormatError as error:
-            missing.append(f"{file_name}: {error}")
-            continue
+            try:
+                text = FORMATS[format_name].write(brown, replace(options, tolerance_px=EXPORT_TOLERANCE_PX))
+            except FormatError:
+                missing.append(f"{file_name}: {error}")
+                continue
+            missing.append(f"{file_name} is written all the same, though it is not exact. {error}")
         _write(folder / file_name, text)
         written[name] = file_name
     write_colmap(result, folder / COLMAP)
@@ -85,6 +96,18 @@ def write_exports(result: CheckResult, folder: Path) -> dict[str, str]:
         _write(folder / NOT_WRITTEN, "\n".join(missing) + "\n")
         written["not_written"] = NOT_WRITTEN
     return written
+
+
+def exported_camera(estimate: Estimate) -> BrownCamera:
+    """The camera for other programs: affinity and skew that are not significant are left out.
+
+    Most formats cannot hold them; the other parameters of the fit make up for what they did.
+    """
+    index = [BROWN_NAMES.index("b1"), BROWN_NAMES.index("b2")]
+    size, sigma = estimate.brown.vector[index], np.sqrt(np.diag(estimate.covariance)[index])
+    if not size.any() or (np.abs(size) > 3 * sigma).any():
+        return estimate.brown
+    return fit_brown(estimate.lens, keep_k4=estimate.brown.k4 != 0, affinity=False)[0]
 
 
 def _options(result: CheckResult) -> WriteOptions:

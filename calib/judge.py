@@ -20,6 +20,8 @@ ALWAYS_DECISIVE = (
 WITH_REFERENCE = ("focal-drift", "equifinal-deviation", *ALWAYS_DECISIVE)
 #: Without a reference the network has to prove itself.
 ALONE = ("convergent-share", *ALWAYS_DECISIVE)
+#: Nothing from outside confirms a calibration without a reference, so this stays open then.
+UNCONFIRMED = (*ALONE, "focal-drift")
 #: Which flag makes the headline, the most telling first.
 _TELLING = (
     "focal-sigma",
@@ -44,8 +46,9 @@ def judge(evidence: Evidence) -> tuple[Verdict, str, tuple[Finding, ...]]:
       casts doubt on whatever else was flagged: CANNOT TELL, unless the geometry is missing too
       (convergent-share or focal-sigma flagged), which is then said beside the fault.
     * TRUST: nothing is flagged and every decisive rule passes. With a reference that is itself
-      known well enough for 0.1 %, those are ``WITH_REFERENCE``; with none, or with one of another
-      body of the model, those are ``ALONE`` and the limit on the sigma of f is stricter.
+      known well enough for 0.1 %, those are ``WITH_REFERENCE``; with one of another body of the
+      model, those are ``ALONE`` and the limit on the sigma of f is stricter. Without a reference
+      nothing from outside confirms the calibration: CANNOT TELL at best, ready to become one.
     * CANNOT TELL: nothing is flagged, but a decisive rule is unknown.
 
     ``equifinal-line`` and ``opposite-signs`` never block TRUST by being unknown: where the method
@@ -55,7 +58,10 @@ def judge(evidence: Evidence) -> tuple[Verdict, str, tuple[Finding, ...]]:
     findings = tuple(rule(evidence) for rule in RULES)
     by_rule = {finding.rule: finding for finding in findings}
     flagged = {finding.rule for finding in findings if finding.state is State.FLAG}
-    decisive = WITH_REFERENCE if reference_decides(evidence) else ALONE
+    if evidence.f_ref_px is None:
+        decisive: tuple[str, ...] = UNCONFIRMED
+    else:
+        decisive = WITH_REFERENCE if reference_decides(evidence) else ALONE
     faulty = "alignment" in flagged
     if flagged & GEOMETRY or (flagged and not faulty):
         first = next(rule for rule in _TELLING if rule in flagged)
@@ -66,6 +72,8 @@ def judge(evidence: Evidence) -> tuple[Verdict, str, tuple[Finding, ...]]:
     if faulty:
         return Verdict.CANNOT_TELL, by_rule["alignment"].message, findings
     open_rules = [rule for rule in decisive if by_rule[rule].state is not State.PASS]
+    if open_rules == ["focal-drift"] and evidence.f_ref_px is None:
+        return Verdict.CANNOT_TELL, _unconfirmed(evidence), findings
     if open_rules:
         return Verdict.CANNOT_TELL, by_rule[open_rules[0]].message, findings
     return Verdict.TRUST, _trusted(evidence), findings
@@ -80,6 +88,14 @@ def _trusted(e: Evidence) -> str:
             f"({drift} in the focal length), and {known}."
         )
     return f"The calibration can be trusted on the strength of the photos alone: {known}."
+
+
+def _unconfirmed(e: Evidence) -> str:
+    return (
+        f"The photos alone speak for this calibration (the focal length is known to "
+        f"{percent(100 * e.sigma_f_px / e.f_px)}), but there is no reference to hold it against; keep it as "
+        "one with --save-reference."
+    )
 
 
 def _lower(text: str) -> str:

@@ -64,7 +64,9 @@ def reference_decides(e: Evidence) -> bool:
 
 
 def no_reference(e: Evidence) -> str:
-    return e.reference_note or "There is no reference calibration for this camera."
+    """Why there is nothing to compare with, as the end of a sentence."""
+    note = e.reference_note or "There is no reference calibration for this camera."
+    return note[:1].lower() + note[1:]
 
 
 def missing_geometry(e: Evidence) -> str:

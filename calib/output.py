@@ -7,7 +7,7 @@ import os
 import shutil
 import tempfile
 from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
@@ -20,14 +20,16 @@ from calib.result import CheckResult
 REPORT_HTML, REPORT_JSON, EXPORTS = "report.html", "report.json", "exports"
 
 _REASONS = {
-    errno.ENOSPC: "the disk is full; free some space or choose another folder with --out",
-    errno.EDQUOT: "your disk quota is used up; free some space or choose another folder with --out",
-    errno.EACCES: "you may not write there; choose another folder with --out",
-    errno.EPERM: "you may not write there; choose another folder with --out",
-    errno.EROFS: "the disk is read-only; choose another folder with --out",
-    errno.ENOTDIR: "part of the path is a file, not a folder; choose another folder with --out",
-    errno.EEXIST: "there is a file of that name; choose another folder with --out",
+    errno.ENOSPC: "the disk is full; free some space or choose another place",
+    errno.EDQUOT: "your disk quota is used up; free some space or choose another place",
+    errno.EACCES: "you may not write there; choose another place",
+    errno.EPERM: "you may not write there; choose another place",
+    errno.EROFS: "the disk is read-only; choose another place",
+    errno.ENOENT: "there is no such folder; make it first or choose another place",
+    errno.ENOTDIR: "part of the path is a file, not a folder; choose another place",
+    errno.EEXIST: "there is a file of that name; choose another place",
     errno.EISDIR: "there is a folder of that name; choose another name",
+    errno.ELOOP: "the path is a link that leads back to itself; choose another place",
     errno.ENAMETOOLONG: "the name is too long; choose a shorter one",
 }
 
@@ -75,6 +77,44 @@ def check_writable(out_dir: Path) -> None:
     with output_errors(out_dir):
         out_dir.mkdir(parents=True, exist_ok=True)
         with tempfile.NamedTemporaryFile(prefix=".fieldcal-", dir=out_dir):
+            pass
+
+
+@contextmanager
+def output_folder(out_dir: Path) -> Iterator[None]:
+    """Hold ``out_dir`` ready (:func:`check_writable`) for the work inside.
+
+    If that fails or is interrupted, folders that were made here and are still empty go again.
+
+    Raises:
+        OutputError: not a folder, not writable.
+    """
+    with output_errors(out_dir):
+        made = [folder for folder in (out_dir, *out_dir.parents) if not folder.exists()]
+    try:
+        check_writable(out_dir)
+        yield
+    except BaseException:
+        for folder in made:
+            with suppress(OSError):
+                folder.rmdir()
+        raise
+
+
+def check_file_writable(path: Path) -> None:
+    """Refuse a file that :func:`write_text_atomic` could not write, before the work, not after.
+
+    Raises:
+        OutputError: no such folder, not writable, a folder.
+    """
+    with output_errors(path):
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, os.strerror(errno.EISDIR), str(path))
+        if path.exists() and not path.is_file():
+            if not os.access(path, os.W_OK):
+                raise PermissionError(errno.EACCES, os.strerror(errno.EACCES), str(path))
+            return
+        with tempfile.NamedTemporaryFile(prefix=".fieldcal-", dir=path.parent):
             pass
 
 

@@ -121,9 +121,30 @@ def find_reference(camera: CameraIdentity) -> tuple[Reference | None, str]:
         refusals.append(note)
     if refusals:
         return None, refusals[0]
-    name = f"{camera.make} {camera.model}".strip() or "this camera"
+    name = camera.name or "this camera"
     unread = f" ({faults[0]})" if faults else ""
     return None, f"No reference calibration of {name} is known{unread}."
+
+
+def check_saving(name: str) -> None:
+    """Refuse a name that :func:`save_reference` could not save under, before the work, not after.
+
+    Raises:
+        InputError: the name cannot be used. OutputError: the store cannot be written.
+    """
+    if not _NAME.fullmatch(name):
+        raise InputError(
+            f"A reference cannot be named {name!r}: use small letters, digits, dots, dashes and underscores, "
+            "for example phantom3-serial42-spring."
+        )
+    if is_bundled(name):
+        raise InputError(f"{name} is a reference that comes with fieldcal; save yours under another name.")
+    store = store_folder()
+    there = next(folder for folder in (store, *store.parents) if os.path.lexists(folder))
+    if not there.is_dir() or not os.access(there, os.W_OK | os.X_OK):
+        raise OutputError(
+            f"The reference store {store} cannot be written; name another folder in {STORE_VARIABLE}."
+        )
 
 
 def save_reference(reference: Reference) -> Path:
@@ -133,13 +154,7 @@ def save_reference(reference: Reference) -> Path:
         InputError: the name cannot be used. OutputError: the store cannot be written.
     """
     name = reference.name
-    if not _NAME.fullmatch(name):
-        raise InputError(
-            f"A reference cannot be named {name!r}: use small letters, digits, dots, dashes and underscores, "
-            "for example phantom3-serial42-spring."
-        )
-    if is_bundled(name):
-        raise InputError(f"{name} is a reference that comes with fieldcal; save yours under another name.")
+    check_saving(name)
     path = store_folder() / f"{name}.json"
     if path.is_file():
         older = store_folder() / "history" / name

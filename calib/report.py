@@ -124,7 +124,8 @@ def _verdict(result: CheckResult) -> str:
 
 def _facts(result: CheckResult) -> str:
     network, solution = result.network, result.solution
-    heights = ", ".join(f"{h:.0f}" for h in network.heights_agl_m)
+    metric = solution.georeference.metric
+    heights = ", ".join(f"{h:.0f}" for h in network.heights_agl_m if metric)
     parts = [
         camera_name(result.camera),
         f"{photos_given(result)} photos, {len(solution.photos)} aligned",
@@ -132,7 +133,7 @@ def _facts(result: CheckResult) -> str:
     ]
     if heights:
         parts.append(f"{heights} m above ground")
-    if math.isfinite(network.gsd_m):
+    if metric and math.isfinite(network.gsd_m):
         parts.append(f"{100 * network.gsd_m:.1f} cm per pixel")
     return f'<p class="facts">{html_text(" · ".join(parts))}</p>'
 

@@ -14,6 +14,7 @@ from calib.figures import (
     residual_figure,
 )
 from calib.figures.sensor import residual_exaggeration
+from calib.figures.site import METRES, relative_unit
 from calib.result import CheckResult
 from calib.wording import html_text, quantity
 
@@ -31,6 +32,8 @@ def figures_section(result: CheckResult) -> str:
         )
     stretch = residual_exaggeration(solution)
     network = result.network
+    metric = solution.georeference.metric
+    unit = METRES if metric else relative_unit(result.dome.flying_height_m)
     entries: list[tuple[str, str, Any]] = [
         (
             "K1-K2 plane",
@@ -65,16 +68,21 @@ def figures_section(result: CheckResult) -> str:
         (
             "Camera network from above",
             f"{network.nadir} photos look straight down, {network.convergent} are convergent (triangles); "
-            "the strokes show where the cameras look. The tie points are coloured by their height.",
-            camera_network_figure(solution, network),
+            "the strokes show where the cameras look. The tie points are coloured by their height."
+            + (
+                ""
+                if metric
+                else " Without believed geotags, lengths are in flying heights and north is unknown."
+            ),
+            camera_network_figure(solution, network, unit),
         ),
         (
             "Predicted dome",
-            "Heights with this calibration minus heights with the reference: "
-            f"{quantity(result.dome.amplitude_m, result.dome.sigma_m, 'm')} in the middle against the rim, "
-            f"{quantity(result.dome.amplitude_percent, None, '%')} of the flying height "
+            "Heights with this calibration minus heights with the reference, the middle against the rim: "
+            + (f"{quantity(result.dome.amplitude_m, result.dome.sigma_m, 'm')}, " if metric else "")
+            + f"{quantity(result.dome.amplitude_percent, None, '%')} of the flying height "
             "(positive: dome, negative: dish).",
-            dome_figure(result.dome),
+            dome_figure(result.dome, unit),
         ),
         (
             "Correlations",

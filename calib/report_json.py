@@ -99,6 +99,8 @@ class AlignmentModel(_Model):
 
 
 class NetworkModel(_Model):
+    """Lengths are given only where believed geotags set the scale (``georeference.trusted``)."""
+
     nadir: int
     convergent: int
     heights_agl_m: list[float]
@@ -114,6 +116,8 @@ class GeoreferenceModel(_Model):
 
 
 class DomeModel(_Model):
+    """``amplitude_m`` and ``sigma_m`` are null without believed geotags; the percentage needs none."""
+
     amplitude_m: float | None
     amplitude_percent: float | None
     sigma_m: float | None
@@ -158,6 +162,7 @@ def report_json(result: CheckResult) -> str:
 
 def check_report(result: CheckResult) -> CheckReport:
     camera, solution = result.camera, result.solution
+    metric = solution.georeference.metric
     return CheckReport(
         schema="fieldcal.check/1",
         verdict=result.verdict.value,
@@ -203,8 +208,8 @@ def check_report(result: CheckResult) -> CheckReport:
         network=NetworkModel(
             nadir=result.network.nadir,
             convergent=result.network.convergent,
-            heights_agl_m=[float(h) for h in result.network.heights_agl_m if math.isfinite(h)],
-            gsd_m=_finite(result.network.gsd_m),
+            heights_agl_m=[float(h) for h in result.network.heights_agl_m if metric and math.isfinite(h)],
+            gsd_m=_finite(result.network.gsd_m) if metric else None,
         ),
         georeference=GeoreferenceModel(
             crs=solution.georeference.crs,
@@ -214,9 +219,9 @@ def check_report(result: CheckResult) -> CheckReport:
             fault=solution.georeference.fault,
         ),
         dome=DomeModel(
-            amplitude_m=_finite(result.dome.amplitude_m),
+            amplitude_m=_finite(result.dome.amplitude_m) if metric else None,
             amplitude_percent=_finite(result.dome.amplitude_percent),
-            sigma_m=_finite(result.dome.sigma_m),
+            sigma_m=_finite(result.dome.sigma_m) if metric else None,
         ),
         timing=TimingModel(
             wall_s=_finite(result.timing.wall_s),
@@ -240,7 +245,7 @@ def _reference(reference: Reference, note: str) -> ReferenceModel:
         name=printable(reference.name),
         source=printable(reference.source),
         processing=reference.processing.value,
-        f_px=None if reference.brown is None else _finite(reference.brown.f_px),
+        f_px=_finite(reference.f_px),
         note=printable(note),
     )
 

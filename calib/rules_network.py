@@ -51,7 +51,7 @@ def convergent_share(e: Evidence) -> Finding:
         text = f"{oblique} of {photos} photos ({value:.0f} %) look {CONVERGENT_DEG:g} degrees or more off"
         text += " the vertical"
         if e.steep:
-            text += f", {e.steep} of them beyond {STEEP_DEG:g} degrees"
+            text += f", {'all' if e.steep == oblique else e.steep} of them beyond {STEEP_DEG:g} degrees"
     if value >= CONVERGENT_LIMIT_PERCENT:
         return finding(State.PASS, f"{text}: at least {CONVERGENT_LIMIT_PERCENT:g} % are asked for.", value)
     return finding(State.FLAG, f"{text}; at least {CONVERGENT_LIMIT_PERCENT:g} % are needed.", value)
@@ -193,8 +193,11 @@ def alignment(e: Evidence) -> Finding:
         faults.append(f"the residual is over {RMS_LIMIT_PX:g} px")
     if not e.converged:
         faults.append("the adjustment did not settle")
-    if e.geotag_fault:
-        faults.append(f"{e.geotag_fault.strip().rstrip('.')}; more photos do not cure that")
+    geotags = "" if e.geotag_fault is None else f"{e.geotag_fault.strip().rstrip('.')}."
+    if geotags and "more photos" not in geotags.lower():
+        geotags += " More photos do not cure this."
     if faults:
-        return finding(State.FLAG, f"{text}, but {', and '.join(faults)}.")
+        return finding(State.FLAG, f"{text}, but {', and '.join(faults)}. {geotags}".rstrip())
+    if geotags:
+        return finding(State.FLAG, f"{geotags} Without them {text}.")
     return finding(State.PASS, f"{text} in one block (that alone proves nothing about the calibration).")

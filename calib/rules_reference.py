@@ -28,7 +28,7 @@ def focal_drift(e: Evidence) -> Finding:
         )
 
     if e.f_ref_px is None:
-        return finding(State.UNKNOWN, f"The focal length was not compared. {no_reference(e)}")
+        return finding(State.UNKNOWN, f"The focal length was not compared: {no_reference(e)}")
     drift = 100 * (e.f_px - e.f_ref_px) / e.f_ref_px
     sigma = 100 * math.hypot(e.sigma_f_px, e.sigma_f_ref_px) / e.f_ref_px
     state = decide(drift, sigma, FOCAL_LIMIT_PERCENT)
@@ -61,18 +61,18 @@ def equifinal_deviation(e: Evidence) -> Finding:
         return Finding("equifinal-deviation", state, value, sigma, "px", e.tolerance_px, source, message)
 
     if e.deviation is None:
-        return finding(State.UNKNOWN, f"The lens distortion was not compared. {no_reference(e)}")
+        return finding(State.UNKNOWN, f"The lens distortion was not compared: {no_reference(e)}")
     d = e.deviation
     state = decide(d.raw_px, d.sigma_raw_px, e.tolerance_px)
     text = (
-        f"The lens distortion differs from the reference's by up to {d.raw_px:.1f} px "
-        f"({d.linear_removed_px:.1f} px apart from a plain scale)"
+        f"The lens distortion differs from the reference's by up to {_px(d.raw_px)} "
+        f"({_px(d.linear_removed_px)} apart from a plain scale)"
     )
     limit = f"the tolerance of {e.tolerance_px:.2g} px"
     ending = {
         State.PASS: f": within {limit}.",
         State.FLAG: f": {severity(d.raw_px, e.tolerance_px)} {limit}.",
-        State.UNKNOWN: f", uncertain by {Z95 * d.sigma_raw_px:.1f} px: too close to {limit} to tell.",
+        State.UNKNOWN: f", uncertain by {_px(Z95 * d.sigma_raw_px)}: too close to {limit} to tell.",
     }[state]
     return finding(state, text + ending, d.raw_px, d.sigma_raw_px)
 
@@ -88,7 +88,7 @@ def equifinal_line(e: Evidence) -> Finding:
 
     if e.f_ref_px is None:
         return finding(
-            State.UNKNOWN, f"There is no equifinal line to compare K1 and K2 with. {no_reference(e)}"
+            State.UNKNOWN, f"There is no equifinal line to compare K1 and K2 with: {no_reference(e)}"
         )
     if not e.radial.opposite_signs:
         return finding(
@@ -185,3 +185,7 @@ def predicted_dome(e: Evidence) -> Finding:
         State.UNKNOWN,
         f"The photos leave room for a dome or dish of {room} of the height; none can be excluded.",
     )
+
+
+def _px(value: float) -> str:
+    return f"{value:.1f} px" if value >= 0.95 else f"{value:.2f} px"

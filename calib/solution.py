@@ -47,6 +47,15 @@ class Georeference:
     #: Angle between the up axis that the geotags ask for and the one kept, degrees.
     tilt_conflict_deg: float | None = None
 
+    @property
+    def metric(self) -> bool:
+        """Whether lengths of the block are metres and its axes east and north.
+
+        Scale and heading come from the geotags alone; where those are missing or not believed,
+        only proportions mean anything, such as a share of the flying height.
+        """
+        return self.trusted
+
 
 @dataclass(frozen=True)
 class Solution:

@@ -74,10 +74,7 @@ def path_text(path: Path) -> str:
 
 
 def camera_name(camera: CameraIdentity) -> str:
-    """Make and model in one; makers often repeat their name in the model."""
-    make, model = printable(camera.make).strip(), printable(camera.model).strip()
-    name = model if model.lower().startswith(make.lower()) else f"{make} {model}"
-    return name.strip() or "Unknown camera"
+    return printable(camera.name) or "Unknown camera"
 
 
 def power_of_ten(exponent: int) -> str:

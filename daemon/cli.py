@@ -1,12 +1,16 @@
 """The command line: one typer app, and the only place that turns errors into exit codes.
 
-0 done (or TRUST), 3 REFLY, 4 CANNOT TELL, 2 unusable input or usage, 130 interrupted,
-1 a defect of ours.
+0 done (or TRUST), 3 REFLY, 4 CANNOT TELL, 2 unusable input or usage, 1 a defect of ours;
+128 and the signal's number where one ended the program (130 Ctrl-C, 141 reader gone, 143 terminated).
 """
 
 from __future__ import annotations
 
 import contextlib
+import errno
+import io
+import os
+import signal
 import sys
 import tempfile
 import time
@@ -14,6 +18,7 @@ import traceback
 from collections.abc import Sequence
 from importlib.metadata import version
 from pathlib import Path
+from types import FrameType
 from typing import Annotated
 
 import platformdirs
@@ -21,24 +26,33 @@ import typer
 from typer.exceptions import Abort, TyperException
 
 from calib.errors import FieldcalError
-from daemon.cli_cameras import app as cameras_app
-from daemon.cli_check import check
-from daemon.cli_equifinal import equifinal
-
-app = typer.Typer(
-    name="fieldcal",
-    help="Know, before you leave the field, whether your drone survey's camera calibration can be trusted.",
-    invoke_without_command=True,
-    add_completion=False,
-    pretty_exceptions_enable=False,
-    rich_markup_mode=None,
-)
-app.command("check")(check)
-app.add_typer(cameras_app, name="cameras")
-app.command("equifinal")(equifinal)
 
 DEFECT = 1
-INTERRUPTED = 130
+INTERRUPTED = 128 + signal.SIGINT
+READER_GONE = 128 + signal.SIGPIPE
+#: What writing to a terminal, pipe or redirection may fail with; none of it is a defect.
+_OUTPUT_FAULTS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF})
+
+
+def _app() -> typer.Typer:
+    # The commands bring the numerical libraries, a second or two: loaded in here, so that Ctrl-C
+    # is answered with one line from the start.
+    from daemon.cli_cameras import app as cameras_app
+    from daemon.cli_check import check
+    from daemon.cli_equifinal import equifinal
+
+    app = typer.Typer(
+        name="fieldcal",
+        invoke_without_command=True,
+        add_completion=False,
+        pretty_exceptions_enable=False,
+        rich_markup_mode=None,
+    )
+    app.callback()(_root)
+    app.command("check")(check)
+    app.add_typer(cameras_app, name="cameras")
+    app.command("equifinal")(equifinal)
+    return app
 
 
 def _show_version(asked: bool) -> None:
@@ -47,7 +61,6 @@ def _show_version(asked: bool) -> None:
         raise typer.Exit
 
 
-@app.callback()
 def _root(
     context: typer.Context,
     _version: Annotated[
@@ -64,7 +77,9 @@ def _root(
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line with ``arguments`` (the process's own by default): the exit code."""
     try:
-        result = app(args=None if arguments is None else list(arguments), standalone_mode=False)
+        result = _app()(args=None if arguments is None else list(arguments), standalone_mode=False)
+        if sys.stdout is not None:
+            sys.stdout.flush()  # What cannot be written is to be said here, not by the interpreter's end.
     except FieldcalError as error:
         _say(str(error))
         return error.exit_code
@@ -73,7 +88,15 @@ def run(arguments: Sequence[str] | None = None) -> int:
         return FieldcalError.exit_code
     except (Abort, KeyboardInterrupt):
         result = INTERRUPTED
+    except BrokenPipeError:
+        # Whoever read our output has enough (`| head`); that is no news to the user.
+        _discard_stdout()
+        return READER_GONE
     except Exception as error:  # noqa: BLE001 the top of the program: anything unforeseen is a defect
+        if isinstance(error, OSError) and error.filename is None and error.errno in _OUTPUT_FAULTS:
+            _discard_stdout()
+            _say(f"The output cannot be written: {(error.strerror or str(error)).lower()}.")
+            return FieldcalError.exit_code
         _say(
             f"Something went wrong inside fieldcal ({type(error).__name__}); this is a defect of the program."
         )
@@ -90,12 +113,33 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 def main() -> None:
     """Entry point of the ``fieldcal`` command."""
+    for number in (signal.SIGTERM, signal.SIGHUP):
+        signal.signal(number, _ended)
+    for stream in (sys.stdout, sys.stderr):
+        if isinstance(stream, io.TextIOWrapper):
+            stream.reconfigure(errors="backslashreplace")  # Terminals without Unicode.
     sys.exit(run())
 
 
+def _ended(number: int, frame: FrameType | None) -> None:
+    """Leave as after Ctrl-C: the child process ended, nothing half-written left behind."""
+    del frame
+    sys.exit(128 + number)
+
+
 def _say(text: str) -> None:
+    """One line on stderr, whatever a file's name has put into ``text``."""
+    line = "".join(c if c.isprintable() else "\ufffd" for c in " ".join(text.split()))
     with contextlib.suppress(OSError):
-        print(f"fieldcal: {text}", file=sys.stderr, flush=True)
+        print(f"fieldcal: {line}", file=sys.stderr, flush=True)
+
+
+def _discard_stdout() -> None:
+    """Send what is still buffered nowhere, or the interpreter stumbles over it at its end."""
+    with contextlib.suppress(OSError, ValueError):
+        nowhere = os.open(os.devnull, os.O_WRONLY)
+        os.dup2(nowhere, sys.stdout.fileno())
+        os.close(nowhere)
 
 
 def _write_details(error: Exception) -> Path | None:

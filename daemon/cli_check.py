@@ -18,14 +18,14 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from calib import frames
 from calib.align.engine import Progress as Report
 from calib.check import Options, check_photos, read_set
-from calib.errors import InputError
 from calib.findings import State, Verdict
-from calib.output import check_writable, write_outputs, write_text_atomic
+from calib.output import check_file_writable, output_folder, write_outputs, write_text_atomic
 from calib.photos.sort import require_block
-from calib.references import is_bundled, load_reference, reference_from_estimate, save_reference
+from calib.references import check_saving, load_reference, reference_from_estimate, save_reference
 from calib.report_json import report_json
 from calib.result import CheckResult
-from daemon.output import console
+from calib.wording import VERDICT_WORDS, printable
+from daemon.output import console, write_stdout
 from daemon.terminal import print_summary
 from mission.advice import describe_circle
 
@@ -43,30 +43,38 @@ def check(
         str | None,
         typer.Option("--save-reference", metavar="NAME", help="Keep this calibration as a reference."),
     ] = None,
-    out: Annotated[Path, typer.Option(metavar="DIR", help="Where the report and the exports go.")] = DEFAULT_OUT,
+    out: Annotated[
+        Path, typer.Option(metavar="DIR", help="Where the report and the exports go.")
+    ] = DEFAULT_OUT,
     json_to: Annotated[
-        str | None, typer.Option("--json", metavar="FILE|-", help="Also write report.json here, or to stdout.")
+        str | None,
+        typer.Option("--json", metavar="FILE|-", help="Also write report.json here, or to stdout."),
     ] = None,
     quiet: Annotated[bool, typer.Option("--quiet", help="Only the verdict; no progress.")] = False,
 ) -> int:
     """Can this survey's camera calibration be trusted? Exit code 0 TRUST, 3 REFLY, 4 CANNOT TELL."""
-    if save_reference_as is not None and is_bundled(save_reference_as):
-        raise InputError(f"{save_reference_as} is a bundled reference; save under another name.")
+    # What can be refused at once is refused before a minute's work.
+    if save_reference_as is not None:
+        check_saving(save_reference_as)
     if reference is not None:
-        load_reference(reference)  # A wrong name is said before a minute's work.
-    with _progress(quiet or not sys.stderr.isatty()) as report:
+        load_reference(reference)
+    if json_to is not None and json_to != "-":
+        check_file_writable(Path(json_to))
+    hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
+    with _progress(hidden) as report:
         found = read_set(photos, report)
         require_block(found)
-        check_writable(out)
-        result = check_photos(found, Options(reference), report)
-    result = replace(result, what_to_fly=what_to_fly(result))
-    result = replace(result, exports=write_outputs(result, out))
-    if json_to is not None:
-        _write_json(result, json_to)
-    if json_to != "-":
-        _show(result, found.notes, out, quiet)
+        with output_folder(out):
+            result = check_photos(found, Options(reference), report)
+            result = replace(result, what_to_fly=what_to_fly(result))
+            result = replace(result, exports=write_outputs(result, out))
+    if json_to == "-":
+        write_stdout(report_json(result))
+    elif json_to is not None:
+        write_text_atomic(Path(json_to), report_json(result))
+    _show(result, found.notes, out, quiet, to_stderr=json_to == "-")
     if save_reference_as is not None:
-        print(_save(result, save_reference_as), file=sys.stderr)
+        print(printable(_save(result, save_reference_as)), file=sys.stderr)
     return result.verdict.exit_code
 
 
@@ -76,7 +84,10 @@ def what_to_fly(result: CheckResult) -> str | None:
         return None
     georeference = result.solution.georeference
     if not georeference.trusted or georeference.origin_wgs84 is None:
-        return describe_circle(None)
+        advice = describe_circle(None)
+        if georeference.fault is not None:
+            advice += " This is for the calibration only: it cures nothing about the geotags."
+        return advice
     frame = frames.LocalFrame(*georeference.origin_wgs84)
     middle = frame.geodetic(np.median(result.solution.points_m, axis=0)[None])[0]
     return describe_circle(result.dome.flying_height_m, (float(middle[0]), float(middle[1])))
@@ -85,10 +96,14 @@ def what_to_fly(result: CheckResult) -> str | None:
 def _save(result: CheckResult, name: str) -> str:
     estimate = result.estimate
     sigma = 100 * estimate.sigma_f_px / estimate.brown.f_px
-    broken = [f.rule for f in result.findings if f.state is State.FLAG and f.rule in ("alignment", "cross-validation")]
+    broken = [
+        f.rule
+        for f in result.findings
+        if f.state is State.FLAG and f.rule in ("alignment", "cross-validation")
+    ]
     if sigma > REFERENCE_SIGMA_PERCENT or broken:
         why = (
-            f"its focal length is known to {sigma:.2f} % only and a reference needs {REFERENCE_SIGMA_PERCENT} %"
+            f"its focal length is known to {sigma:.2f} % only, and {REFERENCE_SIGMA_PERCENT} % is needed"
             if not broken
             else f"it is flagged for {', '.join(broken)}"
         )
@@ -109,29 +124,25 @@ def _save(result: CheckResult, name: str) -> str:
     return f"fieldcal: saved as reference {name} ({path})."
 
 
-def _write_json(result: CheckResult, target: str) -> None:
-    text = report_json(result)
-    if target == "-":
-        sys.stdout.write(text if text.endswith("\n") else text + "\n")
-        sys.stdout.flush()
-    else:
-        write_text_atomic(Path(target), text)
+def _show(
+    result: CheckResult, notes: tuple[str, ...], out: Path, quiet: bool, to_stderr: bool = False
+) -> None:
+    """Say the outcome on stdout, or on stderr where stdout is for the JSON."""
+    if not quiet:
+        print_summary(result, console(to_stderr), out / "report.html", notes)
+    elif not to_stderr:
+        print(f"{VERDICT_WORDS[result.verdict]}: {printable(result.headline)}")
 
 
-def _show(result: CheckResult, notes: tuple[str, ...], out: Path, quiet: bool) -> None:
-    if quiet:
-        print(f"{result.verdict.value}: {result.headline}")
-        return
-    for note in notes:
-        print(note)
-    print_summary(result, console(), out / "report.html")
+def _nothing(stage: str, done: int, total: int) -> None:
+    del stage, done, total
 
 
 @contextmanager
 def _progress(hidden: bool) -> Iterator[Report]:
     """A progress line on stderr that names the stage."""
     if hidden:
-        yield lambda stage, done, total: None
+        yield _nothing
         return
     bar = Progress(
         SpinnerColumn(),

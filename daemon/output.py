@@ -13,9 +13,9 @@ from rich.text import Text
 from calib.errors import OutputError
 
 
-def console() -> Console:
-    """A console on stdout that prints text as it is: no markup, no emoji, no colouring of numbers."""
-    return Console(markup=False, emoji=False, highlight=False)
+def console(to_stderr: bool = False) -> Console:
+    """A console that prints text as it is: no markup, no emoji, no colouring of numbers."""
+    return Console(markup=False, emoji=False, highlight=False, stderr=to_stderr)
 
 
 def table(*columns: str, title: str | None = None, numbers: tuple[str, ...] = ()) -> Table:
@@ -34,10 +34,18 @@ def write_json(data: object, target: str) -> None:
     """
     text = json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
     if target == "-":
-        sys.stdout.write(text)
-        sys.stdout.flush()
+        write_stdout(text)
         return
     try:
         Path(target).write_text(text, encoding="utf-8")
     except OSError as error:
         raise OutputError(f"{target} cannot be written: {error.strerror}.") from error
+
+
+def write_stdout(text: str) -> None:
+    """Write ``text`` to stdout as UTF-8, whatever the terminal's encoding: programs read it."""
+    if sys.stdout is None:
+        raise OutputError("Standard output is closed, so nothing can be written there.")
+    sys.stdout.flush()
+    sys.stdout.buffer.write(text.encode("utf-8"))
+    sys.stdout.buffer.flush()

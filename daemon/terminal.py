@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
+import re
+import textwrap
+from collections.abc import Sequence
 from pathlib import Path
 
 from rich.console import Console
-from rich.padding import Padding
-from rich.table import Table
 from rich.text import Text
 
 from calib.findings import State, Verdict
@@ -16,6 +17,7 @@ from calib.wording import (
     VERDICT_WORDS,
     all_left_out,
     camera_name,
+    left_out_by_reason,
     ordered_findings,
     path_text,
     photos_given,
@@ -32,37 +34,80 @@ _SIGNS = {State.PASS: "✓", State.FLAG: "✗", State.UNKNOWN: "?"}
 #: For terminals that cannot show the signs above.
 _PLAIN_SIGNS = {State.PASS: "ok", State.FLAG: "!!", State.UNKNOWN: "?"}
 _WIDTH = 80
+#: On narrower terminals a finding's words go below its name.
+_NARROW = 60
+#: Lines about photos left out, and names on each; the report lists them all.
+_REASONS, _NAMES = 5, 3
+#: A number and its unit stay on one line.
+_BOUND = re.compile(r"(?<=\d) (?=(?:%|px|cm|mm|km|m|degrees|sigma|photos)(?!\w))")
+_NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
-def print_summary(result: CheckResult, console: Console, report: Path | None = None) -> None:
+def print_summary(
+    result: CheckResult, console: Console, report: Path | None = None, notes: Sequence[str] = ()
+) -> None:
     """Print verdict, headline, findings, what to fly and where the report is.
 
-    ``report`` is the path of report.html (None: none was written). Colours and width follow
-    ``console``; lines are at most 80 columns long.
+    ``report`` is the path of report.html (None: none was written), ``notes`` what the reading of the
+    photos remarked. Colours and width follow ``console``; lines are at most 80 columns long.
     """
-    width = min(console.width, _WIDTH)
-    solution = result.solution
+    width = max(min(console.width, _WIDTH), 20)
+
+    def say(text: str, style: str = "", indent: str = "") -> None:
+        for line in _wrapped(text, width, indent, indent):
+            console.print(Text(line, style=style), soft_wrap=True)
+
+    for note in notes:
+        say(note)
     console.print()
-    line = Text.assemble(
-        (f" {VERDICT_WORDS[result.verdict]} ", _VERDICT_STYLES[result.verdict]),
-        "  ",
-        printable(result.headline),
+    badge = f" {VERDICT_WORDS[result.verdict]} "
+    first, *rest = _wrapped(result.headline, width, " " * (len(badge) + 2))
+    console.print(
+        Text.assemble((badge, _VERDICT_STYLES[result.verdict]), first[len(badge) :]), soft_wrap=True
     )
-    console.print(line, width=width)
-    left_out = len(all_left_out(result))
-    facts = f"{camera_name(result.camera)}, {photos_given(result)} photos, {len(solution.photos)} aligned"
-    facts += f", {left_out} left out" if left_out else ""
-    console.print(Text(facts, style="dim"), width=width)
+    for line in rest:
+        console.print(Text(line), soft_wrap=True)
     console.print()
-    console.print(_findings(result, _signs(console)), width=width)
+    left_out = len(all_left_out(result))
+    facts = (
+        f"{camera_name(result.camera)}, {photos_given(result)} photos, {len(result.solution.photos)} aligned"
+    )
+    say(facts + (f", {left_out} left out" if left_out else ""), "dim")
+    if result.reference is not None:
+        say(result.reference_note, "dim")
+    for line in _left_out(result):
+        say(line, "dim", "  ")
+    console.print()
+    _print_findings(result, console, width)
     if result.what_to_fly is not None:
         console.print()
         console.print(Text("What to fly", style="bold"))
-        console.print(Padding(Text(printable(result.what_to_fly)), (0, 0, 0, 2)), width=width)
+        say(result.what_to_fly, indent="  ")
     if report is not None:
         console.print()
         # One line however long, so that it can be copied.
         console.print(Text(f"Report: {path_text(report)}"), soft_wrap=True)
+
+
+def _wrapped(text: str, width: int, first: str = "", others: str = "") -> list[str]:
+    """Lines of at most ``width`` columns that start with ``first``, and then with ``others``."""
+    bound = _BOUND.sub(_NO_BREAK, printable(text))
+    lines = textwrap.wrap(
+        bound, width, initial_indent=first, subsequent_indent=others, break_on_hyphens=False
+    )
+    return [line.replace(_NO_BREAK, " ") for line in lines] or [first]
+
+
+def _left_out(result: CheckResult) -> list[str]:
+    """Which photos were left out and why, the commonest reasons first."""
+    groups = sorted(left_out_by_reason(result).items(), key=lambda group: -len(group[1]))
+    lines = []
+    for reason, paths in groups[:_REASONS]:
+        names = ", ".join(path_text(Path(path.name)) for path in paths[:_NAMES])
+        more = f" and {len(paths) - _NAMES} more" if len(paths) > _NAMES else ""
+        lines.append(f"{names}{more}: {reason}")
+    others = sum(len(paths) for _, paths in groups[_REASONS:])
+    return lines + ([f"{others} more, named in the report"] if others else [])
 
 
 def _signs(console: Console) -> dict[State, str]:
@@ -73,17 +118,21 @@ def _signs(console: Console) -> dict[State, str]:
     return _SIGNS
 
 
-def _findings(result: CheckResult, signs: dict[State, str]) -> Table:
-    table = Table.grid(padding=(0, 1))
-    table.add_column(no_wrap=True)
-    table.add_column(no_wrap=True)
-    table.add_column(ratio=1, overflow="fold")
-    table.expand = True
+def _print_findings(result: CheckResult, console: Console, width: int) -> None:
+    signs = _signs(console)
+    sign_width = max(map(len, signs.values())) + 1
+    rules = [printable(finding.rule) for finding in result.findings]
+    column = sign_width + max(map(len, rules), default=0) + 1
+    beside = width >= _NARROW
     for state in STATE_ORDER:
         for finding in ordered_findings(result.findings, state):
-            table.add_row(
-                Text(signs[state], style=_STYLES[state]),
-                Text(printable(finding.rule), style=_STYLES[state]),
-                Text(printable(finding.message)),
-            )
-    return table
+            label = f"{signs[state]:<{sign_width}}{printable(finding.rule)}"
+            indent = " " * (column if beside else sign_width)
+            lines = _wrapped(finding.message, width, indent, indent)
+            if beside:
+                lines[0] = lines[0][len(label) :]
+                console.print(Text.assemble((label, _STYLES[state]), lines.pop(0)), soft_wrap=True)
+            else:
+                console.print(Text(label, style=_STYLES[state]), soft_wrap=True)
+            for line in lines:
+                console.print(Text(line), soft_wrap=True)

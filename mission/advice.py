@@ -48,16 +48,18 @@ def describe_circle(height_agl_m: float | None, middle_wgs84: tuple[float, float
     look = f"Tilt the camera to {pitch} degrees (about {TILT_DEG:.0f} degrees off straight down)"
     if height_agl_m is None:
         return (
-            f"Take {PHOTOS} more photos on a circle around the middle of the site, as high as the survey and with "
-            f"a radius of {math.tan(math.radians(TILT_DEG)):.1f} times that height. {look} and aim at the middle "
-            "from every side, one photo every 45 degrees, then check the old and new photos together."
+            f"Take {PHOTOS} more photos on a circle around the middle of the site, as high as the survey "
+            f"and with a radius of {math.tan(math.radians(TILT_DEG)):.1f} times that height. {look} and aim "
+            "at the middle from every side, one photo every 45 degrees, then check the old and new photos "
+            "together."
         )
     radius = height_agl_m * math.tan(math.radians(TILT_DEG))
     where = "the middle of the site"
     if middle_wgs84 is not None:
         where += f" ({middle_wgs84[0]:.6f}, {middle_wgs84[1]:.6f})"
     return (
-        f"Fly one circle of {radius:.0f} m radius around {where}, {height_agl_m:.0f} m above the ground or higher. "
+        f"Fly one circle of {radius:.0f} m radius around {where}, {height_agl_m:.0f} m above the ground or "
+        f"higher. "
         f"{look} and aim at the middle: {PHOTOS} photos, one every 45 degrees (an orbit or point-of-interest "
         "flight does it). Keep zoom and focus as they are, then check the old and new photos together."
     )

@@ -157,10 +157,13 @@ def test_the_real_nadir_set_is_told_what_is_missing():
     assert "2 heights" in message(replace(e, heights_agl_m=(60.0, 80.0)), "focal-sigma")
 
 
-def test_without_a_reference_the_network_must_prove_itself():
+def test_without_a_reference_the_best_network_cannot_be_confirmed():
     alone = evidence(reference=None, dome_percent=None, dome_m=None, reference_note="No reference is known.")
-    assert judge(alone)[0] is Verdict.TRUST
-    assert "No reference is known." in message(alone, "focal-drift")
+    verdict, headline, _ = judge(alone)
+    assert verdict is Verdict.CANNOT_TELL
+    assert "no reference" in headline
+    assert "--save-reference" in headline
+    assert "no reference is known" in message(alone, "focal-drift").lower()
     for weaker in (
         {"sigma_f_px": 0.001 * 2320 * 0.4},
         {"convergent": None},
@@ -169,7 +172,9 @@ def test_without_a_reference_the_network_must_prove_itself():
         {"sigma_dome_percent": 0.2},
         {"sigma_dome_percent": None},
     ):
-        assert judge(replace(alone, **weaker))[0] is Verdict.CANNOT_TELL, weaker
+        verdict, headline, _ = judge(replace(alone, **weaker))
+        assert verdict is Verdict.CANNOT_TELL, weaker
+        assert "--save-reference" not in headline, weaker
 
 
 def test_a_reference_of_another_body_cannot_decide_a_tenth_of_a_percent():

@@ -143,7 +143,7 @@ def test_a_folder_that_may_not_be_written(tmp_path: Path) -> None:
     message = os.read(read, 4096).decode()
     os.close(read)
     os.waitpid(child, 0)
-    assert message == f"Cannot write {locked}: you may not write there; choose another folder with --out."
+    assert message == f"Cannot write {locked}: you may not write there; choose another place."
 
 
 def test_atomic_text(tmp_path: Path) -> None:

@@ -284,9 +284,9 @@ def test_all_at_one_spot():
 
 @pytest.mark.parametrize("count", [0, 1, 2])
 def test_too_few(count):
-    unreadable = [LeftOut(Path("x.JPG"), "x.JPG is truncated.")]
+    unreadable = [LeftOut(Path("x.JPG"), "truncated")]
     with pytest.raises(
-        InputError, match=r"usable; .* at least three .*1 left out, for example: x.JPG is truncated"
+        InputError, match=r"usable; .* at least three .*1 left out, for example x.JPG: truncated"
     ):
         require_block(sort_photos(grid()[:count], unreadable))
     require_block(sort_photos(grid()[:3]))

@@ -4,7 +4,8 @@ Why our own: no library at hand holds Brown with b1, b2, a residual field and pr
 them, and the valley of a nadir block is so flat that stopping has to be decided by the Newton
 decrement, not by a small step. On the models that Ceres has too, tests hold ours against it.
 
-Unknowns: lens (35, those in ``free``), poses (cam_from_world rotation and centre), points.
+Unknowns: lens (35, those in ``free``), poses (cam_from_world rotation and centre), points, and
+where a rolling shutter is allowed for, the way that each camera went while its rows were read.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ from scipy.spatial.transform import Rotation
 
 from calib.camera import FloatArray
 from calib.field import Lens
-from calib.solution import IntArray, Observations
+from calib.solution import Observations
 
 BoolArray = NDArray[np.bool_]
 
@@ -41,16 +42,22 @@ class Priors:
     rotation_sigma_rad: FloatArray
     lens_mean: FloatArray
     lens_sigma: FloatArray
+    #: Standard deviation of a camera's way during the readout, m; None: global shutter.
+    shutter_sigma_m: float | None = None
 
 
 @dataclass(frozen=True)
 class State:
-    """One set of values of all unknowns."""
+    """One set of values of all unknowns.
+
+    ``shutter_m`` (k, 3): way of each camera from the first row to the last; the pose is the middle row's.
+    """
 
     lens: Lens
     rotations: FloatArray
     centres_m: FloatArray
     points_m: FloatArray
+    shutter_m: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -159,10 +166,10 @@ class Topology:
         self.pair_key, self.pair_start = np.unique(key, return_index=True)
 
     def photos_by_points(self, blocks: FloatArray) -> bsr_array:
-        """Sparse (6 k, 3 m) from one (6, 3) block an observation."""
+        """Sparse (q k, 3 m) from one (q, 3) block an observation."""
         return bsr_array(
             (blocks[self.by_photo], self.point_of_photo, self.photo_ends),
-            shape=(6 * self.n_photos, 3 * self.n_points),
+            shape=(blocks.shape[1] * self.n_photos, 3 * self.n_points),
         )
 
     def photo_sums(self, left: FloatArray, right: FloatArray) -> FloatArray:
@@ -182,7 +189,7 @@ class Topology:
         return summed.reshape(self.n_points, a, -1)
 
     def pose_products(self, b_c: FloatArray, sparse: bsr_array) -> FloatArray:
-        """B_c B_c^T over all points, (6 k, 6 k)."""
+        """B_c B_c^T over all points, (q k, q k)."""
         k = self.n_photos
         if self.dense:
             full = sparse.toarray()
@@ -191,8 +198,9 @@ class Topology:
         blocks = np.add.reduceat(
             b_c[self.pair_a] @ b_c[self.pair_b].transpose(0, 2, 1), self.pair_start, axis=0
         )
-        product = np.zeros((6 * k, 6 * k))
-        view = product.reshape(k, 6, k, 6).transpose(0, 2, 1, 3)
+        q = b_c.shape[1]
+        product = np.zeros((q * k, q * k))
+        view = product.reshape(k, q, k, q).transpose(0, 2, 1, 3)
         rows, cols = self.pair_key // k, self.pair_key % k
         view[rows, cols] = blocks
         off = rows != cols
@@ -202,15 +210,15 @@ class Topology:
 
 @dataclass(frozen=True)
 class _Linear:
-    """Normal equations before damping. c: poses (k, 6), l: lens (p), x: points."""
+    """Normal equations before damping. c: poses (k, q), l: lens (p), x: points."""
 
-    u_cc: FloatArray  # (k, 6, 6)
-    u_cl: FloatArray  # (k, 6, p)
+    u_cc: FloatArray  # (k, q, q)
+    u_cl: FloatArray  # (k, q, p)
     u_ll: FloatArray  # (p, p)
     v: FloatArray  # (m, 3, 3)
-    w_cx: FloatArray  # (n, 6, 3)
+    w_cx: FloatArray  # (n, q, 3)
     w_xl: FloatArray  # (m, 3, p)
-    g_c: FloatArray  # (k, 6)
+    g_c: FloatArray  # (k, q)
     g_l: FloatArray  # (p,)
     g_x: FloatArray  # (m, 3)
 
@@ -233,6 +241,7 @@ class Adjustment:
         self.robust_positions = robust_positions
         self._has_centre = np.isfinite(priors.centre_sigma_m).all(axis=1)
         self._has_rotation = np.isfinite(priors.rotation_sigma_rad)
+        self._row: FloatArray | None = None
 
     def with_priors(self, priors: Priors) -> Adjustment:
         """The same observations under other priors of the lens; the index arrays are shared."""
@@ -240,11 +249,24 @@ class Adjustment:
         other.priors = priors
         return other
 
+    @property
+    def _q(self) -> int:
+        """Unknowns a photo: 6, or 9 with a rolling shutter."""
+        return 6 if self.priors.shutter_sigma_m is None else 9
+
+    def _rows(self, lens: Lens) -> FloatArray:
+        """When each observation's row was read, -0.5 (first) to 0.5 (last), (n,)."""
+        if self._row is None:
+            self._row = self.obs.pixels[:, 1] / lens.brown.height - 0.5
+        return self._row
+
     # -- residuals -----------------------------------------------------------------------------
 
     def _rays(self, state: State) -> tuple[FloatArray, FloatArray]:
         """Points in their cameras (n, 3) and rays (n, 2)."""
         offset = state.points_m[self.obs.point] - state.centres_m[self.obs.photo]
+        if state.shutter_m is not None:
+            offset -= state.shutter_m[self.obs.photo] * self._rows(state.lens)[:, None]
         in_cam = (state.rotations[self.obs.photo] @ offset[:, :, None])[:, :, 0]
         depth = in_cam[:, 2]
         # A point behind its camera is pushed away from the pole; its residual stays huge.
@@ -262,7 +284,8 @@ class Adjustment:
 
     def _weights(self, residuals_px: FloatArray) -> FloatArray:
         size = np.linalg.norm(residuals_px, axis=1) / self.obs.sigma_px
-        return np.minimum(1.0, self.huber / np.maximum(size, 1e-12))
+        weights: FloatArray = np.minimum(1.0, self.huber / np.maximum(size, 1e-12))
+        return weights
 
     def _position_terms(self, state: State) -> tuple[FloatArray, FloatArray]:
         """Normalised position residuals (k, 3) and robust weights (k,)."""
@@ -271,9 +294,13 @@ class Adjustment:
         weights = np.zeros(k)
         has = self._has_centre
         if has.any():
-            normalised[has] = (self.priors.centres_m[has] - state.centres_m[has]) / self.priors.centre_sigma_m[has]
+            normalised[has] = (
+                self.priors.centres_m[has] - state.centres_m[has]
+            ) / self.priors.centre_sigma_m[has]
             size = np.linalg.norm(normalised, axis=1)
-            weights[has] = np.minimum(1.0, 3.0 / np.maximum(size[has], 1e-12)) if self.robust_positions else 1.0
+            weights[has] = (
+                np.minimum(1.0, 3.0 / np.maximum(size[has], 1e-12)) if self.robust_positions else 1.0
+            )
         return normalised, weights
 
     def _rotation_terms(self, state: State) -> FloatArray:
@@ -297,14 +324,15 @@ class Adjustment:
         attitude = np.sum(self._rotation_terms(state) ** 2)
         has = np.isfinite(self.priors.lens_sigma)
         lens = np.sum(((state.lens.vector - self.priors.lens_mean)[has] / self.priors.lens_sigma[has]) ** 2)
-        total = float(image + position + attitude + lens)
+        shutter = 0.0
+        if self.priors.shutter_sigma_m is not None and state.shutter_m is not None:
+            shutter = float(np.sum(state.shutter_m**2)) / self.priors.shutter_sigma_m**2
+        total = float(image + position + attitude + lens + shutter)
         return total if np.isfinite(total) else np.inf
 
     # -- normal equations ----------------------------------------------------------------------
 
-    def _linearise(
-        self, state: State, free: BoolArray, weights: tuple[FloatArray, FloatArray]
-    ) -> _Linear:
+    def _linearise(self, state: State, free: BoolArray, weights: tuple[FloatArray, FloatArray]) -> _Linear:
         obs, top = self.obs, self.topology
         in_cam, rays = self._rays(state)
         pixels, by_ray, by_lens = state.lens.derivatives(rays)
@@ -317,10 +345,13 @@ class Adjustment:
         by_cam[:, :, 2] = -np.einsum("nij,nj->ni", by_ray, rays) * inv_z[:, None]
         by_cam *= root[:, None, None]
         by_point = by_cam @ state.rotations[obs.photo]
-        by_pose = np.empty((len(obs), 2, 6))
+        q = self._q
+        by_pose = np.empty((len(obs), 2, q))
         # d in_cam / d omega = -[in_cam]x, hence by_cam @ -[q]x = cross(q, by_cam rows).
         by_pose[:, :, :3] = np.cross(in_cam[:, None, :], by_cam)
-        by_pose[:, :, 3:] = -by_point
+        by_pose[:, :, 3:6] = -by_point
+        if q == 9:
+            by_pose[:, :, 6:] = -by_point * self._rows(state.lens)[:, None, None]
         by_lens = by_lens[:, :, free] * root[:, None, None]
 
         p = int(free.sum())
@@ -328,13 +359,14 @@ class Adjustment:
         # One pass of each sparse product serves the matrix and the right side.
         to_the_right = np.concatenate([by_lens, residual[:, :, None]], axis=2)
         pose_sums = top.photo_sums(by_pose, np.concatenate([by_pose, to_the_right], axis=2))
-        u_cc, u_cl, g_c = pose_sums[:, :, :6].copy(), pose_sums[:, :, 6:-1], pose_sums[:, :, -1].copy()
+        u_cc, u_cl, g_c = pose_sums[:, :, :q].copy(), pose_sums[:, :, q:-1], pose_sums[:, :, -1].copy()
         point_sums = top.point_sums(by_point, np.concatenate([by_point, to_the_right], axis=2))
         v, w_xl, g_x = point_sums[:, :, :3], point_sums[:, :, 3:-1], point_sums[:, :, -1]
         u_ll = flat.T @ flat
         g_l = flat.T @ residual.ravel()
         w_cx = (
-            by_pose[:, 0, :, None] * by_point[:, 0, None, :] + by_pose[:, 1, :, None] * by_point[:, 1, None, :]
+            by_pose[:, 0, :, None] * by_point[:, 0, None, :]
+            + by_pose[:, 1, :, None] * by_point[:, 1, None, :]
         )
 
         normalised, weight = self._position_terms(state)[0], weights[1]
@@ -343,7 +375,12 @@ class Adjustment:
         inv_sigma[has] = 1 / self.priors.centre_sigma_m[has]
         axes = np.arange(3, 6)
         u_cc[:, axes, axes] += weight[:, None] * inv_sigma**2
-        g_c[:, 3:] += weight[:, None] * normalised * inv_sigma
+        g_c[:, 3:6] += weight[:, None] * normalised * inv_sigma
+        if self.priors.shutter_sigma_m is not None:
+            axes = np.arange(6, 9)
+            u_cc[:, axes, axes] += 1 / self.priors.shutter_sigma_m**2
+            if state.shutter_m is not None:
+                g_c[:, 6:] -= state.shutter_m / self.priors.shutter_sigma_m**2
         turn = np.zeros(top.n_photos)
         turn[self._has_rotation] = 1 / self.priors.rotation_sigma_rad[self._has_rotation]
         axes = np.arange(3)
@@ -356,10 +393,12 @@ class Adjustment:
         g_l += ((mean - state.lens.vector)[free]) * inv_lens**2
         return _Linear(u_cc, u_cl, u_ll, v, w_cx, w_xl, g_c, g_l, g_x)
 
-    def _reduce(self, lin: _Linear, damping: float) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
+    def _reduce(
+        self, lin: _Linear, damping: float
+    ) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray, FloatArray]:
         """Eliminate the points.
 
-        Returns the reduced matrix and right side (6 k + p), and B_c (n, 6, 3), B_l (m, 3, p) and the
+        Returns the reduced matrix and right side (q k + p), and B_c (n, q, 3), B_l (m, 3, p) and the
         inverse Cholesky factors of V (m, 3, 3), from which points are solved back.
         """
         obs, top = self.obs, self.topology
@@ -375,39 +414,39 @@ class Adjustment:
         h = (inverse_root @ lin.g_x[:, :, None])[:, :, 0]
 
         sparse = top.photos_by_points(b_c)
-        size = 6 * k + p
+        q = self._q
+        size = q * k + p
         reduced = np.zeros((size, size))
-        reduced[: 6 * k, : 6 * k] = -top.pose_products(b_c, sparse)
-        blocks = reduced[: 6 * k, : 6 * k].reshape(k, 6, k, 6).transpose(0, 2, 1, 3)
+        reduced[: q * k, : q * k] = -top.pose_products(b_c, sparse)
+        blocks = reduced[: q * k, : q * k].reshape(k, q, k, q).transpose(0, 2, 1, 3)
         u_cc = lin.u_cc.copy()
-        six = np.arange(6)
-        u_cc[:, six, six] *= 1 + damping
+        axes = np.arange(q)
+        u_cc[:, axes, axes] *= 1 + damping
         blocks[np.arange(k), np.arange(k)] += u_cc
         flat = b_l.reshape(3 * top.n_points, p)
-        cross = lin.u_cl.reshape(6 * k, p) - sparse @ flat
-        reduced[: 6 * k, 6 * k :] = cross
-        reduced[6 * k :, : 6 * k] = cross.T
+        cross = lin.u_cl.reshape(q * k, p) - sparse @ flat
+        reduced[: q * k, q * k :] = cross
+        reduced[q * k :, : q * k] = cross.T
         u_ll = lin.u_ll.copy()
         u_ll[np.diag_indices(p)] *= 1 + damping
-        reduced[6 * k :, 6 * k :] = u_ll - flat.T @ flat
+        reduced[q * k :, q * k :] = u_ll - flat.T @ flat
         right = np.concatenate([lin.g_c.ravel() - sparse @ h.ravel(), lin.g_l - flat.T @ h.ravel()])
         return reduced, right, b_c, b_l, inverse_root
 
     def _step(self, lin: _Linear, damping: float) -> tuple[FloatArray, FloatArray, FloatArray, float]:
-        """Pose step (k, 6), lens step (p,), point step (m, 3) and predicted decrease of chi-square."""
-        obs, top = self.obs, self.topology
+        """Pose step (k, q), lens step (p,), point step (m, 3) and predicted decrease of chi-square."""
+        top = self.topology
         reduced, right, b_c, b_l, inverse_root = self._reduce(lin, damping)
         k = top.n_photos
         scale = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
         factor = scipy.linalg.cho_factor(reduced * np.outer(scale, scale), lower=True, overwrite_a=True)
         delta = scipy.linalg.cho_solve(factor, right * scale) * scale
-        d_pose, d_lens = delta[: 6 * k].reshape(k, 6), delta[6 * k :]
+        q = self._q
+        d_pose, d_lens = delta[: q * k].reshape(k, q), delta[q * k :]
         h = (inverse_root @ lin.g_x[:, :, None])[:, :, 0]
         back = h - (top.photos_by_points(b_c).T @ d_pose.ravel()).reshape(-1, 3) - b_l @ d_lens
         d_point = (inverse_root.transpose(0, 2, 1) @ back[:, :, None])[:, :, 0]
-        gradient_part = float(
-            np.sum(lin.g_c * d_pose) + lin.g_l @ d_lens + np.sum(lin.g_x * d_point)
-        )
+        gradient_part = float(np.sum(lin.g_c * d_pose) + lin.g_l @ d_lens + np.sum(lin.g_x * d_point))
         return d_pose, d_lens, d_point, gradient_part
 
     @staticmethod
@@ -424,18 +463,22 @@ class Adjustment:
         middle = state.points_m.mean(axis=0)
         offset, offset_c = state.points_m - middle, state.centres_m - middle
         design = similarity_tangent(np.concatenate([offset, offset_c]))
-        moves = np.concatenate([d_point, d_pose[:, 3:]])
+        moves = np.concatenate([d_point, d_pose[:, 3:6]])
         gauge = np.linalg.lstsq(design.reshape(-1, 7), moves.ravel(), rcond=None)[0]
         rest = moves - design @ gauge
         turn = rotation_exp(gauge[None, 3:6])[0]
         grown = np.exp(gauge[6])
         m = len(offset)
         rest_turn = d_pose[:, :3] + (state.rotations @ gauge[3:6])
+        shutter = state.shutter_m
+        if d_pose.shape[1] == 9:
+            shutter = (0.0 if shutter is None else grown * shutter @ turn.T) + d_pose[:, 6:]
         return State(
             lens=state.lens.with_vector(vector),
             rotations=rotation_exp(rest_turn) @ state.rotations @ turn.T,
             centres_m=middle + gauge[:3] + grown * offset_c @ turn.T + rest[m:],
             points_m=middle + gauge[:3] + grown * offset @ turn.T + rest[:m],
+            shutter_m=shutter,
         )
 
     # -- the loop ------------------------------------------------------------------------------
@@ -543,9 +586,10 @@ class Adjustment:
         obs, top = self.obs, self.topology
         reduced, _, b_c, b_l, inverse_root = self._reduce(lin, 0.0)
         k, p = top.n_photos, int(free.sum())
-        cc, cl, ll = reduced[: 6 * k, : 6 * k], reduced[: 6 * k, 6 * k :], reduced[6 * k :, 6 * k :]
+        q = self._q
+        cc, cl, ll = reduced[: q * k, : q * k], reduced[: q * k, q * k :], reduced[q * k :, q * k :]
         scale = 1 / np.sqrt(np.maximum(np.diag(cc), 1e-300))
-        factor = scipy.linalg.cho_factor(cc * np.outer(scale, scale) + 1e-14 * np.eye(6 * k), lower=True)
+        factor = scipy.linalg.cho_factor(cc * np.outer(scale, scale) + 1e-14 * np.eye(q * k), lower=True)
         pose_by_lens = -scipy.linalg.cho_solve(factor, cl * scale[:, None]) * scale[:, None]
         normal = ll + cl.T @ pose_by_lens
         normal = (normal + normal.T) / 2
@@ -556,7 +600,7 @@ class Adjustment:
         residual = self.residuals_px(state)
         redundancy = (
             2 * len(obs)
-            - 6 * k
+            - self._q * k
             - 3 * top.n_points
             - p
             + 3 * int(self._has_centre.sum())
@@ -565,7 +609,7 @@ class Adjustment:
         )
         image = float(np.sum(weights[0] * np.sum(residual**2, axis=1) / obs.sigma_px**2))
         # Position misfits tell of the receiver, not of the image measurements: sigma0 is the images' own.
-        image_redundancy = max(2 * len(obs) - 6 * k - 3 * top.n_points - p + 7, 1)
+        image_redundancy = max(2 * len(obs) - q * k - 3 * top.n_points - p + 7, 1)
         # Huber weights shrink the square sum of clean normal noise by a few percent.
         sigma0 = float(np.sqrt(image / image_redundancy))
         return Adjusted(
@@ -594,7 +638,7 @@ def ray_angle_deg(centres_m: FloatArray, points_m: FloatArray, obs: Observations
     direction = np.where(np.isfinite(direction), direction, 0.0)
     m = len(points_m)
     mean = np.stack([np.bincount(obs.point, direction[:, i], m) for i in range(3)], axis=1).astype(float)
-    mean /= np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
+    mean = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
     cosine = np.clip(np.sum(direction * mean[obs.point], axis=1), -1, 1)
     angle = np.zeros(m)
     np.maximum.at(angle, obs.point, np.arccos(cosine))
@@ -602,8 +646,10 @@ def ray_angle_deg(centres_m: FloatArray, points_m: FloatArray, obs: Observations
     return doubled
 
 
-def triangulate(lens: Lens, rotations: FloatArray, centres_m: FloatArray, obs: Observations, n_points: int) -> FloatArray:
-    """Points (m, 3) nearest to their rays (linear least squares); NaN where rays are parallel or fewer than 2."""
+def triangulate(
+    lens: Lens, rotations: FloatArray, centres_m: FloatArray, obs: Observations, n_points: int
+) -> FloatArray:
+    """Points (m, 3) nearest to their rays (linear least squares); NaN where rays are parallel."""
     rays = lens.unproject(obs.pixels)
     direction = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
     direction /= np.linalg.norm(direction, axis=1, keepdims=True)
@@ -622,8 +668,6 @@ def triangulate(lens: Lens, rotations: FloatArray, centres_m: FloatArray, obs: O
     values = np.linalg.eigvalsh(matrix)
     weak = values[:, 0] < 1e-7 * np.maximum(values[:, 2], 1e-12)
     matrix[weak] = np.eye(3)
-    points: FloatArray = np.linalg.solve(matrix, right[:, :, None])[:, :, 0]
+    points = np.asarray(np.linalg.solve(matrix, right[:, :, None])[:, :, 0], float)
     points[weak] = np.nan
     return points
-
-

@@ -21,10 +21,10 @@ def candidate_pairs(
     photos: Sequence[Photo], features: Sequence[Features], usable: np.ndarray
 ) -> list[tuple[int, int]]:
     """Pairs (a < b) by predicted footprint, by sequence, and by appearance where there is no position."""
-    index = np.flatnonzero(usable)
+    index = [int(i) for i in np.flatnonzero(usable)]
     n = len(index)
     if n <= TRY_ALL:
-        return [(int(index[i]), int(index[j])) for i in range(n) for j in range(i + 1, n)]
+        return [(index[i], index[j]) for i in range(n) for j in range(i + 1, n)]
     wanted: set[tuple[int, int]] = set()
 
     def want(i: int, j: int) -> None:
@@ -33,19 +33,19 @@ def candidate_pairs(
 
     for i in range(n):
         for j in range(i + 1, min(i + 1 + IN_SEQUENCE, n)):
-            want(int(index[i]), int(index[j]))
+            want(index[i], index[j])
     targets = footprint_centres([photos[i] for i in index])
     known = np.flatnonzero(np.isfinite(targets).all(axis=1))
-    for i in known:
+    for i in known.tolist():
         distance = np.linalg.norm(targets[known] - targets[i], axis=1)
-        for j in known[np.argsort(distance)[: NEIGHBOURS + 1]]:
-            want(int(index[i]), int(index[j]))
+        for j in known[np.argsort(distance)[: NEIGHBOURS + 1]].tolist():
+            want(index[i], index[j])
     # Geotags that are missing or wrong are made up for by looks.
     likeness = appearance([features[i] for i in index])
     for i in range(n):
         count = NEIGHBOURS if i not in set(known.tolist()) else 4
-        for j in np.argsort(-likeness[i])[:count]:
-            want(int(index[i]), int(index[j]))
+        for j in np.argsort(-likeness[i])[:count].tolist():
+            want(index[i], index[j])
     return sorted(wanted)
 
 

@@ -7,7 +7,9 @@ import os
 import resource
 import signal
 import time
-from dataclasses import dataclass
+import traceback
+from dataclasses import dataclass, field
+from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 
 import numpy as np
@@ -22,7 +24,7 @@ from calib.photos.photo import Photo
 from calib.solution import Dome, Estimate, Network, Solution
 
 #: Threads inside numerical libraries gain nothing on blocks of this size and fight each other.
-_SINGLE_THREADED = {name: "1" for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS")}
+_SINGLE_THREADED = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
 
 @dataclass(frozen=True)
@@ -31,7 +33,7 @@ class Job:
 
     photos: tuple[Photo, ...]
     reference: Lens | None
-    settings: Settings = Settings()
+    settings: Settings = field(default_factory=Settings)
     time_limit_s: float = 3600.0
     memory_limit_bytes: int | None = None
 
@@ -93,6 +95,10 @@ def _child(job: Job, pipe: Connection) -> None:
         pipe.send(("error", (type(error), str(error))))
     except MemoryError:
         pipe.send(("memory", None))
+    except BrokenPipeError:
+        os._exit(1)  # The parent is gone, and nobody is left to tell.
+    except Exception as error:  # noqa: BLE001 the top of the process: a defect is told, not retried
+        pipe.send(("defect", (type(error).__name__, traceback.format_exc())))
 
 
 def run_job(job: Job, progress: Progress, attempts: int = 2) -> Outcome:
@@ -119,9 +125,14 @@ def _run_once(job: Job, progress: Progress) -> Outcome | None:
     process = context.Process(target=_child, args=(job, there), daemon=True)
     before = {name: os.environ.get(name) for name in _SINGLE_THREADED}
     os.environ.update(_SINGLE_THREADED)
+    # Ctrl-C reaches the whole process group; a child that is still loading would answer it with a
+    # traceback. Blocked signals stay blocked across its start. (The tracker would unblock them.)
+    resource_tracker.ensure_running()
+    blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         process.start()
     finally:
+        signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         for name, value in before.items():
             if value is None:
                 del os.environ[name]
@@ -139,7 +150,7 @@ def _run_once(job: Job, progress: Progress) -> Outcome | None:
                 continue
             try:
                 kind, content = here.recv()
-            except EOFError:
+            except (EOFError, OSError):  # OSError: it died in the middle of a message
                 return None
             if kind == "progress":
                 progress(*content)
@@ -148,6 +159,9 @@ def _run_once(job: Job, progress: Progress) -> Outcome | None:
                 return outcome
             elif kind == "memory":
                 return None
+            elif kind == "defect":
+                name, trace = content
+                raise RuntimeError(f"{name} in the alignment process:\n{trace}")
             else:
                 error_type, message = content
                 raise error_type(message)
@@ -158,5 +172,3 @@ def _run_once(job: Job, progress: Progress) -> Outcome | None:
         if process.is_alive():
             process.kill()
             process.join()
-
-

@@ -74,7 +74,7 @@ def predict_dome(
     heights = _tangent_rest(points, adjusted.point_response)
     gain = np.zeros(len(LENS_NAMES))
     gain[adjusted.free] = dome_amplitude_m(points, heights)
-    sigma = float(np.sqrt(max(gain @ lens_covariance @ gain, 0.0)))
+    sigma = float(np.sqrt(max(float(gain @ lens_covariance @ gain), 0.0)))
     radius = site_radius_m(points)
     if reference is None:
         return Dome(None, sigma, flying_height_m, radius)
@@ -92,7 +92,9 @@ def predict_dome(
     return Dome(amplitude, sigma, flying_height_m, radius, east, north, grid)
 
 
-def _grid(points_m: FloatArray, difference: FloatArray, radius_m: float) -> tuple[FloatArray, FloatArray, FloatArray]:
+def _grid(
+    points_m: FloatArray, difference: FloatArray, radius_m: float
+) -> tuple[FloatArray, FloatArray, FloatArray]:
     """Difference on a 41 x 41 grid over the site, NaN outside the points."""
     centre = np.median(points_m[:, :2], axis=0)
     axis = np.linspace(-1.05 * radius_m, 1.05 * radius_m, 41)

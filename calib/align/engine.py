@@ -119,15 +119,13 @@ class Aligner:
             raise AlignmentError(
                 "No two photos show the same ground recognisably; check that they overlap and are sharp."
             )
-        block = self._grow(obs, pairs, side)
+        block = self._grow(obs, pairs)
         return self._finish(obs, block, pairs, blurry)
 
     # -- steps ---------------------------------------------------------------------------------
 
     def _match(self, usable: np.ndarray) -> None:
-        wanted = [
-            p for p in candidate_pairs(self._photos, self._features, usable) if p not in self._pairs
-        ]
+        wanted = [p for p in candidate_pairs(self._photos, self._features, usable) if p not in self._pairs]
         side = max(self._photos[0].camera.width, self._photos[0].camera.height)
 
         def match(pair: tuple[int, int]) -> PairMatches | None:
@@ -155,7 +153,7 @@ class Aligner:
         camera = self._photos[0].camera
         return float(np.median(known)) if known else 0.8 * max(camera.width, camera.height)
 
-    def _grow(self, obs: Observations, pairs: Sequence[PairMatches], side: int) -> Partial:
+    def _grow(self, obs: Observations, pairs: Sequence[PairMatches]) -> Partial:
         camera = self._photos[0].camera
         n = len(self._photos)
         tick = self._tick("joining photos")
@@ -168,7 +166,7 @@ class Aligner:
         if block is None or block.registered.sum() < 3:
             raise AlignmentError(
                 "The photos could not be joined to a block: fewer than three of them overlap with enough "
-                "texture. Check that they belong to one flight over textured ground with 60 % overlap or more."
+                "texture. Check that they show one place, textured ground, with 60 % overlap or more."
             )
         self._block = block
         return block
@@ -255,7 +253,9 @@ class Aligner:
             if blurry[i]:
                 left.append(LeftOut(photo.path, "blurred"))
             elif i not in set(index.tolist()):
-                left.append(LeftOut(photo.path, "could not be joined to the block (too little overlap or texture)"))
+                left.append(
+                    LeftOut(photo.path, "could not be joined to the block (too little overlap or texture)")
+                )
         return Solution(
             photos=tuple(photos),
             lens=adjusted.state.lens,

@@ -91,7 +91,7 @@ def extract(gray: NDArray[np.uint8], factor: float) -> Features:
     contrast = 0.03 if high - low > 60 else 0.01
     # Without the precise upscale OpenCV's keypoints are off by a quarter pixel, the same way in
     # every image: unseen between photos flown alike, half a pixel between opposite headings.
-    keypoints, descriptors = cv2.SIFT_create(
+    keypoints, descriptors = cv2.SIFT.create(
         contrastThreshold=contrast, enable_precise_upscale=True
     ).detectAndCompute(gray, None)
     if descriptors is None or not keypoints:

@@ -119,9 +119,7 @@ def place(rotations: FloatArray, centres: FloatArray, points: FloatArray, tags: 
     scale, heading, shift = _horizontal_fit(flat, target)
     rotation = heading @ leveled.rotation
     transform = Similarity(scale * leveled.scale, rotation, scale * heading @ leveled.shift + shift)
-    return Placement(
-        transform, Georeference(origin, tags.crs, rms_xy, rms_z, fault is None, fault, conflict)
-    )
+    return Placement(transform, Georeference(origin, tags.crs, rms_xy, rms_z, fault is None, fault, conflict))
 
 
 def _spread(positions: FloatArray) -> float:

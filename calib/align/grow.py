@@ -89,7 +89,9 @@ def reprojection_px(obs: Observations, block: Partial, points: FloatArray) -> Fl
     miss = np.full(len(obs), np.inf)
     rays = in_cam[ok, :2] / in_cam[ok, 2:]
     inside = np.linalg.norm(rays, axis=1) < 3
-    distance = np.linalg.norm(obs.pixels[ok] - block.lens.project(np.where(inside[:, None], rays, 0.0)), axis=1)
+    distance = np.linalg.norm(
+        obs.pixels[ok] - block.lens.project(np.where(inside[:, None], rays, 0.0)), axis=1
+    )
     miss[ok] = np.where(inside, distance, np.inf)
     return miss
 
@@ -136,7 +138,9 @@ def adjust_partial(
     return Partial(result.state.lens, block.registered, rotations, all_centres, points, block.active)
 
 
-def relative_poses(first: FloatArray, second: FloatArray, seed: int, focal_px: float) -> list[tuple[FloatArray, FloatArray]]:
+def relative_poses(
+    first: FloatArray, second: FloatArray, seed: int, focal_px: float
+) -> list[tuple[FloatArray, FloatArray]]:
     """Candidate relative poses (R, t) of two photos from rays (n, 2): essential matrix and homography.
 
     Flat ground is the rule here, so the homography's ambiguous solutions are candidates too; the
@@ -152,14 +156,16 @@ def relative_poses(first: FloatArray, second: FloatArray, seed: int, focal_px: f
     essential, mask = cv2.findEssentialMat(first, second, eye, eye, np.zeros(5), np.zeros(5), params)
     if essential is not None and essential.shape == (3, 3):
         _, rotation, translation, _ = cv2.recoverPose(essential, first, second, eye, mask=mask.copy())
-        candidates.append((rotation, translation.ravel()))
+        candidates.append((np.asarray(rotation, float), np.asarray(translation, float).ravel()))
     homography, _ = cv2.findHomography(first, second, cv2.USAC_MAGSAC, threshold * 2)
     if homography is not None:
         _, turns, shifts, _ = cv2.decomposeHomographyMat(homography, eye)
         for rotation, translation in zip(turns, shifts, strict=True):
             length = float(np.linalg.norm(translation))
             if length > 1e-3:
-                candidates.append((rotation, translation.ravel() / length))
+                candidates.append(
+                    (np.asarray(rotation, float), np.asarray(translation, float).ravel() / length)
+                )
     return candidates
 
 
@@ -173,7 +179,9 @@ def _seed_block(
     registered = np.zeros(n_photos, bool)
     registered[[a, b]] = True
     n_points = int(obs.point.max()) + 1
-    block = Partial(lens, registered, rotations, centres, np.full((n_points, 3), np.nan), np.zeros(len(obs), bool))
+    block = Partial(
+        lens, registered, rotations, centres, np.full((n_points, 3), np.nan), np.zeros(len(obs), bool)
+    )
     return reject_and_triangulate(obs, block, 0.008 * max(lens.brown.width, lens.brown.height), 1.0)
 
 
@@ -266,6 +274,7 @@ def _settle(
 
 def seed_order(pairs: Sequence[PairMatches], side: int) -> list[PairMatches]:
     """Pairs by how well they can start a block: many matches over a long base line."""
+
     def score(pair: PairMatches) -> float:
         return float(min(len(pair.indices), 400) * min(pair.shift_px / side, 0.35))
 
@@ -321,12 +330,10 @@ def _quality(obs: Observations, block: Partial) -> float:
     return float(block.registered.sum()) * share
 
 
-
-
 def resume_block(
     obs: Observations, earlier: Partial, n_photos: int, seed: int, tick: Callable[[], None] | None = None
 ) -> Partial | None:
-    """Go on from the poses of an earlier block whose photos are the first of these; None if they do not fit."""
+    """Go on from an earlier block whose photos are the first of these; None if they do not fit."""
     known = len(earlier.registered)
     registered = np.zeros(n_photos, bool)
     registered[:known] = earlier.registered

@@ -60,21 +60,13 @@ def _fundamental(
     params.score = cv2.SCORE_METHOD_MAGSAC
     params.loMethod = cv2.LOCAL_OPTIM_SIGMA
     params.randomGeneratorState = seed
-    matrix, mask = cv2.findFundamentalMat(first, second, params)
+    try:
+        matrix, mask = cv2.findFundamentalMat(first, second, params)
+    except cv2.error:  # It asserts where its local optimisation runs into a degenerate sample.
+        return None, none
     if matrix is None or mask is None or matrix.shape != (3, 3):
         return None, none
-    return matrix, mask.ravel().astype(bool)
-
-
-def epipolar_distance_px(fundamental: FloatArray, first: FloatArray, second: FloatArray) -> FloatArray:
-    """Sampson distance in px of matches (n, 2), (n, 2)."""
-    ones = np.ones((len(first), 1))
-    h1, h2 = np.concatenate([first, ones], axis=1), np.concatenate([second, ones], axis=1)
-    line2, line1 = h1 @ fundamental.T, h2 @ fundamental
-    numerator = np.abs(np.sum(h2 * line2, axis=1))
-    norm = np.sqrt(np.sum(line2[:, :2] ** 2, axis=1) + np.sum(line1[:, :2] ** 2, axis=1))
-    distance: FloatArray = numerator / np.maximum(norm, 1e-12)
-    return distance
+    return np.asarray(matrix, float), mask.ravel().astype(bool)
 
 
 def _predict(
@@ -85,7 +77,7 @@ def _predict(
     Returns predicted px (n, 2), search radius px (n,), and local scale target / source (n,).
     """
     neighbours = min(10, len(source_px))
-    distance, index = cKDTree(source_px).query(from_px, k=neighbours)
+    distance, index = (np.asarray(a) for a in cKDTree(source_px).query(from_px, k=neighbours))
     source, target = source_px[index], target_px[index]
     mean_s, mean_t = source.mean(axis=1, keepdims=True), target.mean(axis=1, keepdims=True)
     ds, dt = source - mean_s, target - mean_t
@@ -97,12 +89,14 @@ def _predict(
     predicted = mean_t[:, 0] + np.einsum("ni,nij->nj", from_px - mean_s[:, 0], affine)
     misfit = dt - np.einsum("nki,nij->nkj", ds, affine)
     rms = np.sqrt(np.mean(np.sum(misfit**2, axis=2), axis=1))
-    scale = np.sqrt(np.abs(np.linalg.det(affine)))
+    scale = np.asarray(np.sqrt(np.abs(np.linalg.det(affine))), float)
     radius = 2.5 * rms + 0.08 * distance[:, -1]
     return predicted, radius, scale
 
 
-def match_pair(a: int, b: int, first: Features, second: Features, side_px: int, seed: int) -> PairMatches | None:
+def match_pair(
+    a: int, b: int, first: Features, second: Features, side_px: int, seed: int
+) -> PairMatches | None:
     """Match two photos; None when they do not overlap reliably.
 
     Args:
@@ -118,7 +112,9 @@ def match_pair(a: int, b: int, first: Features, second: Features, side_px: int, 
     if len(seeds) < 15:
         return None
     # Mismatches that happen to lie on their epipolar line betray themselves against their neighbours.
-    predicted, _, _ = _predict(first.pixels[seeds[:, 0]], first.pixels[seeds[:, 0]], second.pixels[seeds[:, 1]])
+    predicted, _, _ = _predict(
+        first.pixels[seeds[:, 0]], first.pixels[seeds[:, 0]], second.pixels[seeds[:, 1]]
+    )
     off = np.linalg.norm(predicted - second.pixels[seeds[:, 1]], axis=1)
     seeds = seeds[off < max(4 * float(np.median(off)), 0.01 * side_px)]
     if len(seeds) < 15:
@@ -131,17 +127,13 @@ def match_pair(a: int, b: int, first: Features, second: Features, side_px: int, 
     dense = dense[inlier]
     if len(dense) < 20:
         return None
-    shift = np.linalg.norm(
-        first.pixels[dense[:, 0]] - second.pixels[dense[:, 1]], axis=1
-    )
+    shift = np.linalg.norm(first.pixels[dense[:, 0]] - second.pixels[dense[:, 1]], axis=1)
     return PairMatches(a, b, dense, float(np.median(shift)))
 
 
 def _guided(first: Features, second: Features, seeds: IndexPairs, side_px: int) -> IndexPairs:
     """All features of both photos matched near where the seed matches say they should be."""
-    predicted, radius, scale = _predict(
-        first.pixels, first.pixels[seeds[:, 0]], second.pixels[seeds[:, 1]]
-    )
+    predicted, radius, scale = _predict(first.pixels, first.pixels[seeds[:, 0]], second.pixels[seeds[:, 1]])
     radius = np.clip(radius, 0.006 * side_px, 0.03 * side_px)
     low, high = second.pixels.min(axis=0) - radius.max(), second.pixels.max(axis=0) + radius.max()
     inside = np.flatnonzero(((predicted > low) & (predicted < high)).all(axis=1))
@@ -170,6 +162,7 @@ def _guided(first: Features, second: Features, seeds: IndexPairs, side_px: int) 
     left, right, top = left[start][good], right[start][good], top[good]
     # One to one: the best claim on every feature of the second photo wins.
     order = np.lexsort((-top, right))
-    first_claim = np.concatenate([[True], right[order][1:] != right[order][:-1]]) if len(right) else []
-    keep = order[np.asarray(first_claim, bool)]
+    first_claim = np.ones(len(right), bool)
+    first_claim[1:] = right[order][1:] != right[order][:-1]
+    keep = order[first_claim]
     return np.stack([left[keep], right[keep]], axis=1)

@@ -1,8 +1,8 @@
 """Tie points measured again, to a fraction of a pixel, on the full-size images.
 
 Features are found on reduced images. Here every track gets one patch from one photo (its
-template), carried into the other photos through the block's own geometry (a local affine map of
-the ground's tangent plane) and moved until grey values agree: least-squares matching with
+template), carried into the other photos through the block's own geometry (the ground's tangent
+plane as both photos see it) and moved until grey values agree: least-squares matching with
 brightness and contrast free (Gruen 1985), inverse compositional, all patches of a photo at once.
 """
 
@@ -20,7 +20,7 @@ from scipy.spatial import cKDTree
 from calib.align.features import decode_gray
 from calib.camera import FloatArray
 from calib.field import Lens
-from calib.solution import Observations
+from calib.solution import IntArray, Observations
 
 HALF = 8
 STEP_PX = 1.25
@@ -48,26 +48,52 @@ def surface_normals(points_m: FloatArray, neighbours: int = 24) -> FloatArray:
     return normals
 
 
-def _tangent_maps(
-    lens: Lens, rotations: FloatArray, centres_m: FloatArray, obs: Observations, points_m: FloatArray
-) -> FloatArray:
-    """d pixel / d tangent plane coordinates for every observation, (n, 2, 2)."""
-    normal = surface_normals(points_m)
-    helper = np.where(np.abs(normal[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
-    first = np.cross(normal, helper)
-    first /= np.linalg.norm(first, axis=1, keepdims=True)
-    second = np.cross(normal, first)
-    offset = points_m[obs.point] - centres_m[obs.photo]
-    turned = rotations[obs.photo]
-    in_cam = (turned @ offset[:, :, None])[:, :, 0]
-    rays = in_cam[:, :2] / in_cam[:, 2:]
-    _, by_ray, _ = lens.derivatives(rays)
-    by_cam = np.empty((len(obs), 2, 3))
-    by_cam[:, :, :2] = by_ray / in_cam[:, 2][:, None, None]
-    by_cam[:, :, 2] = -(by_ray @ rays[:, :, None])[:, :, 0] / in_cam[:, 2:]
-    tangent = np.stack([first, second], axis=2)[obs.point]
-    maps: FloatArray = by_cam @ turned @ tangent
-    return maps
+@dataclass(frozen=True)
+class _Tangents:
+    """The ground's tangent plane at every point, as photos see it.
+
+    first, second (m, 3): unit vectors that span it. ``maps`` (n, 2, 2): d pixel / d plane
+    coordinates of every observation.
+    """
+
+    points_m: FloatArray
+    first: FloatArray
+    second: FloatArray
+    maps: FloatArray
+
+    @classmethod
+    def of(
+        cls, lens: Lens, rotations: FloatArray, centres_m: FloatArray, obs: Observations, points_m: FloatArray
+    ) -> _Tangents:
+        normal = surface_normals(points_m)
+        helper = np.where(np.abs(normal[:, :1]) < 0.9, [[1.0, 0.0, 0.0]], [[0.0, 1.0, 0.0]])
+        first = np.cross(normal, helper)
+        first /= np.linalg.norm(first, axis=1, keepdims=True)
+        second = np.cross(normal, first)
+        offset = points_m[obs.point] - centres_m[obs.photo]
+        turned = rotations[obs.photo]
+        in_cam = (turned @ offset[:, :, None])[:, :, 0]
+        rays = in_cam[:, :2] / in_cam[:, 2:]
+        _, by_ray, _ = lens.derivatives(rays)
+        by_cam = np.empty((len(obs), 2, 3))
+        by_cam[:, :, :2] = by_ray / in_cam[:, 2][:, None, None]
+        by_cam[:, :, 2] = -(by_ray @ rays[:, :, None])[:, :, 0] / in_cam[:, 2:]
+        tangent = np.stack([first, second], axis=2)[obs.point]
+        return cls(points_m, first, second, by_cam @ turned @ tangent)
+
+    def seen_px(
+        self, lens: Lens, rotation: FloatArray, centre_m: FloatArray, point: IntArray, where: FloatArray
+    ) -> FloatArray:
+        """Pixels (n, s, 2), relative to the point's own, of plane coordinates ``where`` (n, s, 2).
+
+        ``rotation`` (3, 3) and ``centre_m`` (3,) of one photo, or (n, 3, 3) and (n, 3) of several.
+        """
+        origin = (rotation @ (self.points_m[point] - centre_m)[:, :, None])[:, None, :, 0]
+        axes = rotation @ np.stack([self.first, self.second], axis=2)[point]
+        in_cam = origin + where @ axes.transpose(0, 2, 1)
+        pixels = lens.project(in_cam[..., :2] / in_cam[..., 2:])
+        relative: FloatArray = pixels - lens.project(origin[..., :2] / origin[..., 2:])
+        return relative
 
 
 class _Images:
@@ -99,10 +125,17 @@ def _sample(image: NDArray[np.uint8], pixels: FloatArray) -> NDArray[np.float32]
     return out
 
 
-def _grid() -> FloatArray:
-    axis = np.arange(-HALF, HALF + 1) * STEP_PX
+def _grid(axis: FloatArray) -> FloatArray:
     x, y = np.meshgrid(axis, axis)
     return np.stack([x.ravel(), y.ravel()], axis=-1)
+
+
+def _between_nodes(grid: FloatArray, reach: float) -> FloatArray:
+    """Weights (s, 9) of values at the nodes (-reach, 0, reach) squared for positions (s, 2)."""
+    t = grid / reach
+    along = np.stack([0.5 * t * (t - 1), 1 - t * t, 0.5 * t * (t + 1)], axis=-1)  # (s, 2, 3)
+    weights: FloatArray = (along[:, 1, :, None] * along[:, 0, None, :]).reshape(len(grid), 9)
+    return weights
 
 
 def refine(
@@ -121,14 +154,21 @@ def refine(
     ``paths`` in the order of the photo indices. ``tick(photo)`` is called as photos are done.
     """
     n = len(obs)
-    maps = _tangent_maps(lens, rotations, centres_m, obs, points_m)
+    tangents = _Tangents.of(lens, rotations, centres_m, obs, points_m)
     middle = np.array([lens.brown.width / 2, lens.brown.height / 2])
     order = np.lexsort((np.linalg.norm(obs.pixels - middle, axis=1), obs.point))
     head = np.concatenate([[True], obs.point[order][1:] != obs.point[order][:-1]])
     template = np.zeros(len(points_m), np.intp)
     template[obs.point[order][head]] = order[head]
 
-    grid = _grid()
+    grid = _grid(np.linspace(-HALF * STEP_PX, HALF * STEP_PX, 2 * HALF + 1))
+    nodes = _grid(np.array([-1.0, 0.0, 1.0]) * HALF * STEP_PX)
+    weights = _between_nodes(grid, HALF * STEP_PX)
+    # Plane coordinates of the nodes around each template, to first order, and what that leaves.
+    on_plane = nodes @ np.linalg.inv(tangents.maps[template]).transpose(0, 2, 1)
+    host = obs.photo[template]
+    every = np.arange(len(points_m))
+    bent = tangents.seen_px(lens, rotations[host], centres_m[host], every, on_plane) - nodes
     images = _Images(paths, memory_bytes)
     size = 2 * HALF + 1
     patches = np.zeros((len(points_m), grid.shape[0]), np.float32)
@@ -141,8 +181,8 @@ def refine(
     textured = contrast > 1.5
     patches /= np.maximum(contrast, 1e-3)[:, None]
     square = patches.reshape(-1, size, size)
-    gx = (np.gradient(square, axis=2) / STEP_PX).reshape(len(patches), -1)
-    gy = (np.gradient(square, axis=1) / STEP_PX).reshape(len(patches), -1)
+    gx = np.asarray(np.gradient(square, axis=2)).reshape(len(patches), -1) / STEP_PX
+    gy = np.asarray(np.gradient(square, axis=1)).reshape(len(patches), -1) / STEP_PX
     normal = np.empty((len(patches), 2, 2))
     normal[:, 0, 0], normal[:, 1, 1] = np.sum(gx * gx, axis=1), np.sum(gy * gy, axis=1)
     normal[:, 0, 1] = normal[:, 1, 0] = np.sum(gx * gy, axis=1)
@@ -157,9 +197,20 @@ def refine(
         mine = mine[template[obs.point[mine]] != mine]
         if len(mine):
             point = obs.point[mine]
-            affine = maps[mine] @ np.linalg.inv(maps[template[point]])
+            affine = tangents.maps[mine] @ np.linalg.inv(tangents.maps[template[point]])
+            # Perspective and lens bend a patch; an affine map alone is off by hundredths of a
+            # pixel in small images, the same way for all oblique views.
+            seen = tangents.seen_px(lens, rotations[photo], centres_m[photo], point, on_plane[point])
+            offsets = weights @ (seen - bent[point] @ affine.transpose(0, 2, 1))
             moved, good = _follow(
-                images[photo], obs.pixels[mine], affine, patches[point], gx[point], gy[point], inverse[point], grid
+                images[photo],
+                obs.pixels[mine],
+                affine,
+                offsets,
+                patches[point],
+                gx[point],
+                gy[point],
+                inverse[point],
             )
             pixels[mine[good]] = moved[good]
             ok[mine] = good
@@ -172,17 +223,22 @@ def _follow(
     image: NDArray[np.uint8],
     start: FloatArray,
     affine: FloatArray,
+    offsets: FloatArray,
     template: NDArray[np.float32],
     gx: FloatArray,
     gy: FloatArray,
     inverse: FloatArray,
-    grid: FloatArray,
 ) -> tuple[FloatArray, NDArray[np.bool_]]:
-    """Move patches from ``start`` (n, 2) until they agree with their templates."""
+    """Move patches from ``start`` (n, 2) until they agree with their templates.
+
+    ``affine`` (n, 2, 2) and ``offsets`` (n, s, 2): the template's pixels around its middle carried
+    into this photo, to first order and in full.
+    """
     scale = np.sqrt(np.abs(np.linalg.det(affine)))
     sane = np.isfinite(scale) & (scale > 0.4) & (scale < 2.5)
+    sane &= np.isfinite(offsets).all(axis=(1, 2))
     affine = np.where(sane[:, None, None], affine, np.eye(2))
-    offsets = np.einsum("nij,sj->nsi", affine, grid)
+    offsets = np.where(sane[:, None, None], offsets, 0.0)
     at = start.copy()
     last = np.full(len(start), np.inf)
     correlation = np.zeros(len(start))

@@ -4,6 +4,7 @@
 2. K3, decentring and affinity; blunders out by the noise found.
 3. K3 and decentring stay where they are significant ([SEN] staged release).
 4. The residual field joins, with a weak prior (docs/method.md says why).
+5. A rolling shutter (each camera's way during its readout) joins where the photos ask for it.
 """
 
 from __future__ import annotations
@@ -12,6 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
+from scipy.stats import chi2 as chi2_distribution
 
 from calib.align.adjust import Adjusted, Adjustment, Priors, State, ray_angle_deg
 from calib.align.tracks import select
@@ -28,6 +30,10 @@ NOMINAL_F_SIGMA = 0.15
 SIGNIFICANT = 2.6
 #: Points seen under less parallax say nothing about the lens and slow the adjustment down.
 LEAST_ANGLE_DEG = 2.0
+#: A priori way of a camera during its readout, as a share of its distance to the ground (8 m/s for
+#: 30 ms at 60 m), and the significance at which a rolling shutter is believed.
+SHUTTER_WAY = 0.004
+SHUTTER_P = 1e-3
 BASIC = ("f", "cx", "cy", "k1", "k2")
 NB = len(BROWN_NAMES)
 
@@ -137,8 +143,23 @@ def calibrate(
     keep = np.linalg.norm(result.residuals_px, axis=1) < blunder_sigmas * sigma
     obs, obs_index, state, point_index = _kept(obs, obs_index, keep, sigma, state, point_index, k)
     adjustment = Adjustment(obs, k, len(state.points_m), priors)
-    result = adjustment.run(state, result.free, response=True, tick=tick)
+    result = adjustment.run(state, result.free, tick=tick)
+    adjustment = _with_shutter(adjustment, result, tick)
+    result = adjustment.run(result.state, result.free, reweightings=1, response=True, tick=tick)
     return Calibrated(adjustment, result, point_index, obs_index)
+
+
+def _with_shutter(adjustment: Adjustment, result: Adjusted, tick: Callable[[], None] | None) -> Adjustment:
+    """The adjustment with a rolling shutter where that explains the residuals significantly better."""
+    state, obs = result.state, adjustment.obs
+    distance = np.linalg.norm(state.points_m[obs.point] - state.centres_m[obs.photo], axis=1)
+    way = SHUTTER_WAY * float(np.median(distance))
+    moving = adjustment.with_priors(replace(adjustment.priors, shutter_sigma_m=way))
+    weights = (result.weights, result.position_weights)
+    trial = moving.run(state, result.free, 20, decrement=1.0, weights=weights, tick=tick)
+    gain = (result.chi2 - trial.chi2) / result.sigma0**2
+    unknowns = 3 * len(state.rotations)
+    return moving if float(chi2_distribution.sf(gain, unknowns)) < SHUTTER_P else adjustment
 
 
 def _kept(
@@ -176,5 +197,3 @@ def _significant(result: Adjusted) -> set[str]:
     if size > SIGNIFICANT**2 + 2.5:  # chi-square of two degrees of freedom at 99 %: 9.2
         kept.update(("p1", "p2"))
     return kept
-
-

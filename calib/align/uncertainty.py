@@ -25,12 +25,20 @@ from calib.solution import Estimate
 NB = len(BROWN_NAMES)
 #: Observations above which the model comparisons run on a thinned block.
 COMPARE_ON = 25_000
+#: Noise that is correlated over cells is more so over whole photos, where poses and points hide it:
+#: the excess counts this many times (chosen on simulated nadir blocks, see benchmarks/honest_sigma.md).
+SMOOTHER_STILL = 2.0
 #: A model whose chi-square is worse with less probability than this is not defensible.
 DEFENSIBLE_P = 1e-3
 
 
 def correlation_factor(
-    residuals: FloatArray, weights: FloatArray, photo: np.ndarray, pixels: FloatArray, size: tuple[int, int]
+    residuals: FloatArray,
+    weights: FloatArray,
+    photo: np.ndarray,
+    pixels: FloatArray,
+    size: tuple[int, int],
+    photo_unknowns: int = 6,
 ) -> float:
     """Variance factor (>= 1) from residuals averaged over cells of each photo.
 
@@ -41,6 +49,9 @@ def correlation_factor(
     good = weights > 0.5
     residuals, photo, pixels = residuals[good], photo[good], pixels[good]
     variance = float(np.mean(residuals**2))
+    per_photo = np.bincount(photo)
+    # Of a photo's unknowns, the counted cells hold as much as they hold of its measurements.
+    pose_share = min(photo_unknowns / 2 * int((per_photo > 0).sum()) / max(len(photo), 1), 0.5)
     worst = 1.0
     for cells in (3, 4, 5, 7):
         index = np.minimum((pixels / np.array(size) * cells).astype(int), cells - 1)
@@ -52,13 +63,14 @@ def correlation_factor(
             continue
         energy = np.sum(sums[enough] ** 2 / count[enough, None]) / (2 * variance)
         n_cells = int(enough.sum())
-        expected = n_cells - 3 * len(np.unique(photo))
+        covered = np.bincount(photo, enough[slot]) / np.maximum(per_photo, 1)
+        expected = (n_cells - photo_unknowns / 2 * float(covered.sum())) / (1 - pose_share)
         if expected < 10:
             continue
         # What chance alone reaches in one of forty blocks is no sign of correlation.
         allowance = 2 * np.sqrt(1.0 / expected)
         worst = max(worst, float(energy / expected) - allowance)
-    return worst
+    return 1 + SMOOTHER_STILL * (worst - 1)
 
 
 @dataclass(frozen=True)
@@ -149,7 +161,12 @@ def estimate(block: Calibrated, tick: Callable[[], None] | None = None) -> Estim
     n_photos = len(state.rotations)
     brown = state.lens.brown
     factor = correlation_factor(
-        base.residuals_px, base.weights, obs.photo, obs.pixels, (brown.width, brown.height)
+        base.residuals_px,
+        base.weights,
+        obs.photo,
+        obs.pixels,
+        (brown.width, brown.height),
+        6 if adjustment.priors.shutter_sigma_m is None else 9,
     )
     fitted, jacobian = fit_brown(state.lens, keep_k4=bool(base.free[6]))
     formal = base.covariance
@@ -160,7 +177,9 @@ def estimate(block: Calibrated, tick: Callable[[], None] | None = None) -> Estim
     own = compare.run(_Model("", base.free, adjustment.priors, state.lens), tick)
     scale = own.sigma0**2 * factor
     f_here = fit_brown(own.state.lens)[0].f_px
-    models, rejected, moves = {}, {}, []
+    models: dict[str, float] = {}
+    rejected: dict[str, float] = {}
+    moves: list[_Move] = []
     for model in _variants(base, adjustment.priors):
         run = replace(compare, state=own.state).run(model, tick)
         f = fit_brown(run.state.lens, keep_k4=bool(model.free[6]))[0].f_px
@@ -170,9 +189,10 @@ def estimate(block: Calibrated, tick: Callable[[], None] | None = None) -> Estim
             rejected[model.name] = fitted.f_px + f - f_here
             continue
         models[model.name] = fitted.f_px + f - f_here
-        moves.append(run.state.lens.vector - own.state.lens.vector)
+        moved = run.state.lens.vector - own.state.lens.vector
+        moves.append(_Move(f - f_here, moved, run.covariance * factor))
     spread = max((abs(f - fitted.f_px) for f in models.values()), default=0.0)
-    covariance_35 = _with_spread(covariance_35, moves, jacobian, state.lens, models, fitted.f_px)
+    covariance_35 = _with_spread(covariance_35, moves, jacobian, state.lens)
     split_f, split_sigma, split_ratio = _split(block, jacobian, n_photos, factor, tick)
     return Estimate(
         brown=fitted,
@@ -201,32 +221,41 @@ def _comparison_block(block: Calibrated, n_photos: int) -> _Part:
     return _Part(block.adjustment, adjusted.state, (adjusted.weights, adjusted.position_weights))
 
 
-def _with_spread(
-    covariance: FloatArray,
-    moves: list[FloatArray],
-    jacobian: FloatArray,
-    lens: Lens,
-    models: dict[str, float],
-    f_px: float,
-) -> FloatArray:
-    """Add each model's move where it exceeds the sigma that is there already, the largest first.
+@dataclass(frozen=True)
+class _Move:
+    """How a defensible model differs: f in px, lens parameters (35,), their covariance (35, 35)."""
 
-    A move within sigma is what noise does to nested models; only the excess is model error. It is
-    looked for in f and in the total mapping, each against its own sigma.
+    df_px: float
+    lens: FloatArray
+    covariance: FloatArray
+
+
+def _with_spread(covariance: FloatArray, moves: list[_Move], jacobian: FloatArray, lens: Lens) -> FloatArray:
+    """Add each model's move where it exceeds what chance explains, the largest first.
+
+    Between nested models noise alone moves an estimate by the root of the difference of their
+    variances (Hausman 1978). A move within sigma, or within twice that, is no sign of model error;
+    beyond it the whole excess over sigma is. Looked for in f and in the total mapping.
     """
     mapping = projection_jacobian(lens)
-    moved_f = np.array([f - f_px for f in models.values()])
-    for index in np.argsort(-np.abs(moved_f)):
-        # The vector's move is linearised; the move of f itself was measured.
-        move, df = moves[index], moved_f[index]
-        variance_f = float(jacobian[0] @ covariance @ jacobian[0])
-        excess_f = 1 - variance_f / max(df**2, 1e-300)
-        shift = mapping @ move
-        variance_px = np.einsum("ij,jk,ik->i", mapping, covariance, mapping)
-        excess_px = 1 - float(np.sum(variance_px)) / max(float(np.sum(shift**2)), 1e-300)
-        excess = max(excess_f, excess_px, 0.0)
+
+    def variances(of: FloatArray) -> tuple[float, float]:
+        return (
+            float(jacobian[0] @ of @ jacobian[0]),
+            float(np.einsum("ij,jk,ik->", mapping, of, mapping, optimize=True)),
+        )
+
+    formal = variances(covariance)
+    for move in sorted(moves, key=lambda m: -abs(m.df_px)):
+        own = variances(move.covariance)
+        now = variances(covariance)
+        sizes = (move.df_px**2, float(np.sum((mapping @ move.lens) ** 2)))
+        excess = 0.0
+        for size, before, other, current in zip(sizes, formal, own, now, strict=True):
+            if size > max(current, 4 * abs(other - before)):
+                excess = max(excess, 1 - current / size)
         if excess > 0:
-            covariance = covariance + excess * np.outer(move, move)
+            covariance = covariance + excess * np.outer(move.lens, move.lens)
     return covariance
 
 

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 import plotly.graph_objects as go
 from plotly.subplots import make_subplots
@@ -17,9 +19,37 @@ MOST_POINTS = 2500
 CONVERGENT_DEG = (20.0, 45.0)
 
 
-def camera_network_figure(solution: Solution, network: Network) -> go.Figure:
+@dataclass(frozen=True)
+class Unit:
+    """What lengths of the site are drawn in: ``size_m`` of the block's own unit, and its words."""
+
+    size_m: float
+    across: str
+    along: str
+    short: str
+    #: For the heights of a dome: their size, and their short word.
+    fine_m: float
+    fine: str
+
+
+METRES = Unit(1.0, "east (m)", "north (m)", "m", 0.01, "cm")
+
+
+def relative_unit(flying_height_m: float) -> Unit:
+    """For a block without scale or heading: everything in flying heights."""
+    return Unit(
+        flying_height_m,
+        "across (flying heights)",
+        "along (flying heights)",
+        "H",
+        0.01 * flying_height_m,
+        "% H",
+    )
+
+
+def camera_network_figure(solution: Solution, network: Network, unit: Unit = METRES) -> go.Figure:
     """Stations with their viewing directions over the sparse points, seen from above, equal axes."""
-    points = _thinned(solution.points_m)
+    points = _thinned(solution.points_m) / unit.size_m
     figure = go.Figure()
     if len(points):
         low, high = np.percentile(points[:, 2], [2, 98])
@@ -33,13 +63,13 @@ def camera_network_figure(solution: Solution, network: Network) -> go.Figure:
                 "colorscale": "Viridis",
                 "cmin": float(low),
                 "cmax": float(high),
-                "colorbar": BELOW | {"ticksuffix": " m"},
+                "colorbar": BELOW | {"ticksuffix": f" {unit.short}"},
             },
-            hovertemplate="%{marker.color:.1f} m<extra></extra>",
+            hovertemplate=f"%{{marker.color:.3~g}} {unit.short}<extra></extra>",
             showlegend=False,
             name="points",
         )
-    centres = solution.centres_m
+    centres = solution.centres_m / unit.size_m
     forward = solution.rotations_cam_from_world[:, 2, :]
     extent = float(np.ptp(centres[:, :2], axis=0).max(initial=1.0))
     tips = centres[:, :2] + 0.25 * extent * forward[:, :2]
@@ -76,8 +106,8 @@ def camera_network_figure(solution: Solution, network: Network) -> go.Figure:
         figure, 640, meta={"ratio": 0.8 * ratio, "extra": 200}, margin={"l": 58, "r": 14, "t": 40, "b": 110}
     )
     figure.update_layout(legend={"y": 1.02, "yanchor": "bottom"})
-    figure.update_xaxes(title_text="east (m)", constrain="domain", nticks=6)
-    figure.update_yaxes(title_text="north (m)", scaleanchor="x", constrain="domain", nticks=6)
+    figure.update_xaxes(title_text=unit.across, constrain="domain", nticks=6)
+    figure.update_yaxes(title_text=unit.along, scaleanchor="x", constrain="domain", nticks=6)
     return figure
 
 
@@ -92,32 +122,34 @@ def _thinned(points_m: FloatArray) -> FloatArray:
     return points[::step]
 
 
-def dome_figure(dome: Dome) -> go.Figure | None:
-    """Map of the height difference in cm and its mean over the distance from the middle.
+def dome_figure(dome: Dome, unit: Unit = METRES) -> go.Figure | None:
+    """Map of the height difference and its mean over the distance from the middle.
 
     None where there was nothing to compare with (no reference).
     """
     if dome.grid_difference_m is None or dome.grid_east_m is None or dome.grid_north_m is None:
         return None
-    east, north, difference_cm = dome.grid_east_m, dome.grid_north_m, 100 * dome.grid_difference_m
-    largest = float(np.nan_to_num(np.abs(difference_cm)).max(initial=0.0)) or 1.0
+    east, north = dome.grid_east_m / unit.size_m, dome.grid_north_m / unit.size_m
+    difference = dome.grid_difference_m / unit.fine_m
+    largest = float(np.nan_to_num(np.abs(difference)).max(initial=0.0)) or 1.0
+    metric = unit is METRES
     figure = make_subplots(rows=2, cols=1, row_heights=[0.66, 0.34], vertical_spacing=0.14)
     figure.add_heatmap(
         x=float32(east),
         y=float32(north),
-        z=float32(difference_cm),
+        z=float32(difference),
         zmin=-largest,
         zmax=largest,
         colorscale=[[0, "#2166ac"], [0.5, "#f7f7f7"], [1, "#b2182b"]],
-        colorbar={"title": {"text": "cm"}, "len": 0.62, "y": 1, "yanchor": "top", "thickness": 14},
-        hovertemplate="%{x:.0f} m east, %{y:.0f} m north: %{z:.1f} cm<extra></extra>",
+        colorbar={"title": {"text": unit.fine}, "len": 0.62, "y": 1, "yanchor": "top", "thickness": 14},
+        hovertemplate=f"%{{x:.3~g}}, %{{y:.3~g}} {unit.short}: %{{z:.2~g}} {unit.fine}<extra></extra>",
         name="difference",
         row=1,
         col=1,
     )
     for axis, values, name, colour, dash in (
-        (east, _middle(difference_cm, axis=0), "west to east", FLIGHT, "solid"),
-        (north, _middle(difference_cm, axis=1), "south to north", REFERENCE, "dash"),
+        (east, _middle(difference, axis=0), "west to east" if metric else "across", FLIGHT, "solid"),
+        (north, _middle(difference, axis=1), "south to north" if metric else "along", REFERENCE, "dash"),
     ):
         figure.add_scatter(
             x=float32(axis - np.mean(axis)),
@@ -131,10 +163,10 @@ def dome_figure(dome: Dome) -> go.Figure | None:
     figure.add_hline(0, line={"color": MUTED, "width": 1}, row=2, col=1)
     styled(figure, 680, meta={"ratio": 1.0, "extra": 300})
     figure.update_layout(legend_y=-0.12)
-    figure.update_xaxes(title_text="east (m)", constrain="domain", nticks=6, row=1, col=1)
-    figure.update_yaxes(title_text="north (m)", scaleanchor="x", constrain="domain", nticks=6, row=1, col=1)
-    figure.update_xaxes(title_text="distance from the middle (m)", row=2, col=1)
-    figure.update_yaxes(title_text="difference (cm)", row=2, col=1)
+    figure.update_xaxes(title_text=unit.across, constrain="domain", nticks=6, row=1, col=1)
+    figure.update_yaxes(title_text=unit.along, scaleanchor="x", constrain="domain", nticks=6, row=1, col=1)
+    figure.update_xaxes(title_text=f"distance from the middle ({unit.short})", row=2, col=1)
+    figure.update_yaxes(title_text=f"difference ({unit.fine})", row=2, col=1)
     return figure
 
 

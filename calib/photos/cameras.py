@@ -14,10 +14,7 @@ FOCAL_TOLERANCE = 0.005
 
 def _camera_words(photo: Photo) -> str:
     camera = photo.camera
-    name = " ".join(part for part in (camera.make, camera.model) if part) or "unknown camera"
-    if camera.make and camera.model.lower().startswith(camera.make.lower()):
-        name = camera.model
-    return f"{name}, {camera.width} x {camera.height}"
+    return f"{camera.name or 'unknown camera'}, {camera.width} x {camera.height}"
 
 
 def other_cameras(photos: list[Photo]) -> Step:

@@ -39,6 +39,12 @@ class CameraIdentity:
     #: Which of a body's several cameras ("NIR", "ZoomCamera"); "" where there is one.
     band: str = ""
 
+    @property
+    def name(self) -> str:
+        """Make and model in one, as the file has them; makers often repeat their name in the model."""
+        make, model = self.make.strip(), self.model.strip()
+        return model if model.lower().startswith(make.lower()) else f"{make} {model}".strip()
+
 
 @dataclass(frozen=True)
 class Position:

@@ -71,7 +71,9 @@ def read_photos(
         try:
             photos.append(read_photo(path))
         except PhotoError as error:
-            left_out.append(LeftOut(path, str(error)))
+            # The path stands beside the reason already: "/card/DJI_0003.JPG is truncated (...)."
+            reason = str(error).removeprefix(f"{path} ").removeprefix("is ").rstrip(".")
+            left_out.append(LeftOut(path, reason))
         if progress is not None:
             progress(done)
     return photos, left_out

@@ -68,8 +68,11 @@ def require_block(result: Sorted) -> None:
     used = result.used
     if len(used) < 3:
         count = ["No photo is", "Only one photo is", "Only two photos are"][len(used)]
-        reasons = Counter(item.reason for item in result.left_out).most_common(1)
-        because = f" ({len(result.left_out)} left out, for example: {reasons[0][0]})" if reasons else ""
+        because = ""
+        if result.left_out:
+            usual = Counter(item.reason for item in result.left_out).most_common(1)[0][0]
+            example = next(item.path for item in result.left_out if item.reason == usual)
+            because = f" ({len(result.left_out)} left out, for example {example}: {usual})"
         raise InputError(f"{count} usable; a check needs at least three overlapping photos{because}.")
     local = frames.local_positions([p.position for p in used])
     if local is None or np.isnan(local[1]).any():

@@ -1,0 +1,1 @@
+"""Campaigns and side-by-side timings; their results stand beside them."""

@@ -1,0 +1,179 @@
+"""`make bench`: fieldcal's check beside pycolmap's default pipeline, in one run on the same photos.
+
+CPU seconds, wall seconds and peak memory of whole processes; sigma f of both networks of tie
+points under one noise model (our adjustment, its formal sigma with the noise found). Where the
+COLMAP command is installed it runs too. Ratios are what counts: machines differ. The photo sets
+are those of FIELDCAL_DATA. Results: benchmarks/speed.md.
+"""
+
+from __future__ import annotations
+
+import argparse
+import json
+import os
+import platform
+import shutil
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+
+from calib.align.adjust import State
+from calib.align.engine import Aligner
+from calib.align.grow import free_network_priors
+from calib.align.selfcal import calibrate, with_lens_priors
+from calib.align.uncertainty import estimate
+from calib.camera import BrownCamera
+from calib.errors import AlignmentError
+from calib.field import Lens
+from calib.photos import collect, read_photos
+from calib.solution import Observations
+
+HERE = Path(__file__).parent
+
+
+@dataclass(frozen=True)
+class Cost:
+    """What a whole process and its children took."""
+
+    cpu_s: float
+    wall_s: float
+    peak_mb: float
+    code: int
+
+
+def measure(command: Sequence[str], env: dict[str, str] | None = None) -> Cost:
+    """Run ``command`` with its output thrown away."""
+    started = time.monotonic()
+    with tempfile.TemporaryFile() as sink:
+        process = subprocess.Popen(command, stdout=sink, stderr=sink, env=env)
+        _, status, usage = os.wait4(process.pid, 0)
+    return Cost(
+        usage.ru_utime + usage.ru_stime,
+        time.monotonic() - started,
+        usage.ru_maxrss / 1024,
+        os.waitstatus_to_exitcode(status),
+    )
+
+
+def fieldcal(photos: Path, work: Path) -> tuple[Cost, dict[str, object]]:
+    """The check as a user runs it, report and exports included."""
+    out = work / "report"
+    cost = measure(
+        [sys.executable, "-m", "daemon.cli", "check", str(photos), "--quiet", "--out", str(out)],
+    )
+    return cost, json.loads((out / "report.json").read_text())
+
+
+def peer_sigma(result: Path, nominal_f_px: float) -> tuple[float, float]:
+    """f and its formal sigma, percent, of the peer's tie points under our adjustment and noise model."""
+    data = np.load(result)
+    width, height = int(data["width"]), int(data["height"])
+    rows = data["observations"]
+    order = np.argsort(rows[:, 1], kind="stable")
+    rows = rows[order]
+    obs = Observations(rows[:, 0].astype(int), rows[:, 1].astype(int), rows[:, 2:4], np.full(len(rows), 1.0))
+    fx, fy, cx, cy, k1, k2, p1, p2 = data["params"]
+    lens = Lens(BrownCamera(width, height, fx, cx, cy, k1, k2, p1=p1, p2=p2, b1_px=fx - fy))
+    centres = data["centres"]
+    extent = float(np.linalg.norm(centres - centres.mean(axis=0), axis=1).max())
+    priors = with_lens_priors(
+        free_network_priors(len(centres), lens, extent, centres), width, height, nominal_f_px
+    )
+    solved = calibrate(obs, State(lens, data["rotations"], centres, data["points"]), priors)
+    found = estimate(solved)
+    return found.brown.f_px, 100 * found.sigma_f_formal_px / found.brown.f_px
+
+
+def compare(photos: Path) -> dict[str, object]:
+    """One photo set on both sides."""
+    found, _ = read_photos(collect([photos]))
+    nominal = float(np.median([p.focal_px or 0.8 * p.camera.width for p in found]))
+    with tempfile.TemporaryDirectory() as folder:
+        work = Path(folder)
+        ours, report = fieldcal(photos, work)
+        theirs = measure([sys.executable, "-m", "benchmarks.peer", str(photos), str(work / "peer.npz")])
+        peer: dict[str, object] = {"aligned": 0}
+        if theirs.code == 0:
+            data = np.load(work / "peer.npz")
+            peer["aligned"] = int(data["aligned"])
+            if peer["aligned"]:
+                peer["f_px"] = float(data["params"][0])
+                peer["rms_px"] = float(data["mean_reprojection_px"])
+                try:
+                    peer["f_refit_px"], peer["sigma_f_percent"] = peer_sigma(work / "peer.npz", nominal)
+                except AlignmentError as error:
+                    peer["sigma_f_percent"] = str(error)
+    calibration = report["calibration"]
+    assert isinstance(calibration, dict)
+    return {
+        "photos": len(found),
+        "ours": ours,
+        "theirs": theirs,
+        "peer": peer,
+        "report": report,
+    }
+
+
+def own_sigma_percent(photos: Path) -> float:
+    """Formal sigma f of our tie points, percent, before any inflation."""
+    found, _ = read_photos(collect([photos]))
+    aligner = Aligner()
+    aligner.add_all(found)
+    solved = estimate(aligner.solve().calibrated)
+    return 100 * solved.sigma_f_formal_px / solved.brown.f_px
+
+
+def main() -> None:
+    """Compare on every real set and write benchmarks/speed.md."""
+    parser = argparse.ArgumentParser(description=__doc__)
+    parser.add_argument("--sets", nargs="*", help="names of sets (default: all)")
+    parser.add_argument("--out", type=Path, default=HERE / "speed.md")
+    given = parser.parse_args()
+    data = os.environ.get("FIELDCAL_DATA")
+    if not data:
+        sys.exit("FIELDCAL_DATA does not name the folder of real photo sets; nothing to compare on.")
+    names = given.sets or sorted(p.name for p in Path(data).iterdir() if p.is_dir())
+    lines = [
+        "# fieldcal check beside pycolmap's default pipeline",
+        "",
+        f"Whole processes on {os.cpu_count()} cores ({platform.machine()}), one after the other on the same "
+        "photos; fieldcal includes its report and exports. pycolmap: default options, full size, pairs by "
+        "position, OPENCV camera. `sigma f`: formal, of both networks of tie points under fieldcal's own "
+        "adjustment and the noise found in each. Made by `make bench`.",
+        "",
+        "| set | photos | fieldcal CPU s | pycolmap CPU s | ratio | wall s | peak MB | aligned | sigma f % | "
+        "pycolmap's own f px (residual px) |",
+        "|---|---|---|---|---|---|---|---|---|---|",
+    ]
+    for name in names:
+        print(f"{name} ...", file=sys.stderr, flush=True)
+        row = compare(Path(data) / name)
+        ours, theirs, peer, report = row["ours"], row["theirs"], row["peer"], row["report"]
+        sigma = own_sigma_percent(Path(data) / name)
+        their_sigma = peer.get("sigma_f_percent")
+        lines.append(
+            f"| {name} | {row['photos']} | {ours.cpu_s:.0f} | {theirs.cpu_s:.0f} "
+            f"| {theirs.cpu_s / ours.cpu_s:.1f} | {ours.wall_s:.0f} / {theirs.wall_s:.0f} "
+            f"| {ours.peak_mb:.0f} / {theirs.peak_mb:.0f} "
+            f"| {report['alignment']['aligned']} / {peer['aligned']} "
+            f"| {sigma:.4f} / {their_sigma if isinstance(their_sigma, str) else f'{their_sigma or 0:.4f}'} "
+            f"| {peer.get('f_px', 0):.1f} ({peer.get('rms_px', 0):.2f}); fieldcal "
+            f"{report['calibration']['f_px']:.1f} ± {report['calibration']['sigma']['f_px']:.1f} |"
+        )
+        given.out.write_text("\n".join(lines) + "\n")
+    command = shutil.which("colmap")
+    lines += [
+        "",
+        "The COLMAP command is not installed." if command is None else f"COLMAP command: {command}.",
+    ]
+    given.out.write_text("\n".join(lines) + "\n")
+
+
+if __name__ == "__main__":
+    main()

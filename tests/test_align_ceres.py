@@ -1,0 +1,142 @@
+"""Our adjustment against Ceres, on the lens models that both have."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+from align_blocks import INDEX, block_adjustment, loose_priors
+
+from calib.align.adjust import State, rotation_exp
+from calib.align.grow import lens_mask
+from calib.camera import BrownCamera, FloatArray
+from calib.field import Lens
+from sim.flights import phantom3
+from sim.network import SimBlock, SimOptions, survey
+
+pycolmap = pytest.importorskip("pycolmap")
+
+#: pycolmap's parameters of each model, in its order, and ours that stand for them.
+MODELS = {
+    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
+    "OPENCV": ("f", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
+}
+
+
+def true_lens(model: str) -> BrownCamera:
+    camera = replace(phantom3(), k3=0.0, cx_px=2011.0, cy_px=1492.0)
+    return camera if model == "RADIAL" else replace(camera, p1=8e-4, p2=-5e-4, b1_px=4.0)
+
+
+def disturbed(block: SimBlock) -> State:
+    rng = np.random.default_rng(3)
+    k = len(block.centres_m)
+    camera = block.lens.brown
+    ideal = BrownCamera.ideal(camera.width, camera.height, 1.03 * camera.f_px)
+    return State(
+        Lens(ideal),
+        rotation_exp(rng.normal(0, 0.01, (k, 3))) @ block.rotations_cam_from_world,
+        block.centres_m + rng.normal(0, 1.0, (k, 3)),
+        block.points_m + rng.normal(0, 1.0, block.points_m.shape),
+    )
+
+
+def reconstruction_of(block: SimBlock, start: State, model: str) -> Any:
+    """The same block in pycolmap: same pixels (both count from the corner), same start."""
+    brown = start.lens.brown
+    values = {"fy": brown.fy_px, "f": brown.f_px, "cx": brown.cx_px, "cy": brown.cy_px}
+    made = pycolmap.Reconstruction()
+    params = [values.get(name, 0.0) for name in MODELS[model]]
+    made.add_camera_with_trivial_rig(
+        pycolmap.Camera(model=model, width=brown.width, height=brown.height, params=params, camera_id=1)
+    )
+    seen = block.observations
+    slot = np.zeros(len(seen), int)
+    for photo in range(len(block.centres_m)):
+        mine = np.flatnonzero(seen.photo == photo)
+        slot[mine] = np.arange(len(mine))
+        image = pycolmap.Image(name=str(photo), keypoints=seen.pixels[mine], camera_id=1, image_id=photo + 1)
+        rotation = start.rotations[photo]
+        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ start.centres_m[photo])
+        made.add_image_with_trivial_frame(image, pose)
+    for point, where in enumerate(start.points_m):
+        track = pycolmap.Track()
+        for i in np.flatnonzero(seen.point == point):
+            track.add_element(int(seen.photo[i]) + 1, int(slot[i]))
+        made.add_point3D(where, track)
+    return made
+
+
+def solve_with_ceres(made: Any) -> tuple[Any, Any]:
+    options = pycolmap.BundleAdjustmentOptions()
+    options.refine_principal_point = True
+    options.print_summary = False
+    solver = options.ceres.solver_options
+    solver.num_threads, solver.max_num_iterations = 1, 200
+    solver.gradient_tolerance = solver.function_tolerance = solver.parameter_tolerance = 1e-14
+    config = pycolmap.BundleAdjustmentConfig()
+    for image_id in made.images:
+        config.add_image(image_id)
+    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
+    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, made)
+    summary = adjuster.solve()
+    covariance = pycolmap.estimate_ba_covariance(pycolmap.BACovarianceOptions(), made, adjuster)
+    assert covariance is not None
+    return summary, covariance.get_other_params_cov(made.cameras[1].params)
+
+
+@pytest.mark.parametrize("model", ["RADIAL", "OPENCV"])
+def test_adjustment_agrees_with_ceres(model: str) -> None:
+    block = survey("demo", 4, SimOptions(n_points=250), camera=true_lens(model))
+    start = disturbed(block)
+    made = reconstruction_of(block, start, model)
+    summary, _ = solve_with_ceres(made)
+    assert summary.is_solution_usable()
+    theirs = dict(zip(MODELS[model], made.cameras[1].params, strict=True))
+
+    names = "f cx cy k1 k2" if model == "RADIAL" else "f cx cy k1 k2 p1 p2 b1"
+    # Positions known to a kilometre hold the gauge and nothing else.
+    adjustment = block_adjustment(block, loose_priors(block, 1000.0))
+    ours = adjustment.run(start, lens_mask(names), decrement=1e-7)
+    assert ours.converged
+    lens, sigma = ours.state.lens, np.sqrt(np.diag(ours.covariance))
+    expected = {"fy": lens.brown.fy_px} | {
+        name: lens.vector[INDEX[name]] for name in MODELS[model] if name != "fy"
+    }
+    for name, value in theirs.items():
+        tolerance = 0.01 * sigma[INDEX["f" if name == "fy" else name]]
+        assert value == pytest.approx(expected[name], rel=0, abs=tolerance), name
+
+    cost = cost_px2(block, made)
+    assert np.sum(ours.residuals_px**2) == pytest.approx(cost, rel=1e-7)
+    # The truth is where both should be; the start was far from it.
+    assert abs(lens.brown.f_px - block.lens.brown.f_px) < 4 * sigma[0] < 20
+
+
+def cost_px2(block: SimBlock, made: Any) -> float:
+    """Square sum of the residuals, by pycolmap's own projection."""
+    total = 0.0
+    for image_id, image in made.images.items():
+        mine = np.flatnonzero(block.observations.photo == image_id - 1)
+        for i in mine:
+            seen = image.project_point(made.points3D[int(block.observations.point[i]) + 1].xyz)
+            total += float(np.sum((seen - block.observations.pixels[i]) ** 2))
+    return total
+
+
+def test_covariance_agrees_with_ceres() -> None:
+    block = survey("demo", 5, SimOptions(n_points=150), camera=true_lens("RADIAL"))
+    start = disturbed(block)
+    made = reconstruction_of(block, start, "RADIAL")
+    _, theirs = solve_with_ceres(made)
+    ours = block_adjustment(block, loose_priors(block, 1000.0)).run(
+        start, lens_mask("f cx cy k1 k2"), decrement=1e-7
+    )
+    chosen = [INDEX[name] for name in MODELS["RADIAL"]]
+    # Ceres counts in pixels of standard deviation 1.
+    unit: FloatArray = ours.covariance[np.ix_(chosen, chosen)] / ours.sigma0**2 / 0.5**2
+    scale = np.sqrt(np.diag(unit))
+    assert np.allclose(theirs / np.outer(scale, scale), unit / np.outer(scale, scale), rtol=0, atol=2e-3)
+    assert scale[0] > 1.0
