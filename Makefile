@@ -18,7 +18,7 @@ demo: $(STAMP)
 lint: $(STAMP)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
-	$(BIN)/mypy calib mission daemon sim
+	$(BIN)/mypy calib mission daemon sim benchmarks
 	$(BIN)/lint-imports
 
 test: lint

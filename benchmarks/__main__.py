@@ -18,16 +18,17 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from calib.align.adjust import State
 from calib.align.engine import Aligner
 from calib.align.grow import free_network_priors
-from calib.align.selfcal import calibrate, with_lens_priors
-from calib.align.uncertainty import estimate
+from calib.align.selfcal import Calibrated, calibrate, with_lens_priors
+from calib.brownfit import fit_brown
 from calib.camera import BrownCamera
 from calib.errors import AlignmentError
 from calib.field import Lens
@@ -61,7 +62,7 @@ def measure(command: Sequence[str], env: dict[str, str] | None = None) -> Cost:
     )
 
 
-def fieldcal(photos: Path, work: Path) -> tuple[Cost, dict[str, object]]:
+def fieldcal(photos: Path, work: Path) -> tuple[Cost, dict[str, Any]]:
     """The check as a user runs it, report and exports included."""
     out = work / "report"
     cost = measure(
@@ -70,8 +71,8 @@ def fieldcal(photos: Path, work: Path) -> tuple[Cost, dict[str, object]]:
     return cost, json.loads((out / "report.json").read_text())
 
 
-def peer_sigma(result: Path, nominal_f_px: float) -> tuple[float, float]:
-    """f and its formal sigma, percent, of the peer's tie points under our adjustment and noise model."""
+def peer_sigma_percent(result: Path, nominal_f_px: float) -> float:
+    """Formal sigma of f, percent, of the peer's tie points under our adjustment and noise model."""
     data = np.load(result)
     width, height = int(data["width"]), int(data["height"])
     rows = data["observations"]
@@ -86,11 +87,32 @@ def peer_sigma(result: Path, nominal_f_px: float) -> tuple[float, float]:
         free_network_priors(len(centres), lens, extent, centres), width, height, nominal_f_px
     )
     solved = calibrate(obs, State(lens, data["rotations"], centres, data["points"]), priors)
-    found = estimate(solved)
-    return found.brown.f_px, 100 * found.sigma_f_formal_px / found.brown.f_px
+    return _formal_percent(solved)
 
 
-def compare(photos: Path) -> dict[str, object]:
+def _formal_percent(solved: Calibrated) -> float:
+    """Formal sigma of the f that is reported, percent, before any inflation."""
+    fitted, jacobian = fit_brown(solved.adjusted.state.lens)
+    return 100 * float(np.sqrt(jacobian[0] @ solved.adjusted.covariance @ jacobian[0])) / fitted.f_px
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Both sides on one photo set; the peer's figures are None where it gave no model."""
+
+    photos: int
+    ours: Cost
+    theirs: Cost
+    aligned: int
+    f_px: float
+    sigma_f_px: float
+    peer_aligned: int
+    peer_f_px: float | None = None
+    peer_rms_px: float | None = None
+    peer_sigma_percent: float | None = None
+
+
+def compare(photos: Path) -> Comparison:
     """One photo set on both sides."""
     found, _ = read_photos(collect([photos]))
     nominal = float(np.median([p.focal_px or 0.8 * p.camera.width for p in found]))
@@ -98,26 +120,35 @@ def compare(photos: Path) -> dict[str, object]:
         work = Path(folder)
         ours, report = fieldcal(photos, work)
         theirs = measure([sys.executable, "-m", "benchmarks.peer", str(photos), str(work / "peer.npz")])
-        peer: dict[str, object] = {"aligned": 0}
-        if theirs.code == 0:
-            data = np.load(work / "peer.npz")
-            peer["aligned"] = int(data["aligned"])
-            if peer["aligned"]:
-                peer["f_px"] = float(data["params"][0])
-                peer["rms_px"] = float(data["mean_reprojection_px"])
-                try:
-                    peer["f_refit_px"], peer["sigma_f_percent"] = peer_sigma(work / "peer.npz", nominal)
-                except AlignmentError as error:
-                    peer["sigma_f_percent"] = str(error)
-    calibration = report["calibration"]
-    assert isinstance(calibration, dict)
-    return {
-        "photos": len(found),
-        "ours": ours,
-        "theirs": theirs,
-        "peer": peer,
-        "report": report,
-    }
+        row = Comparison(
+            photos=len(found),
+            ours=ours,
+            theirs=theirs,
+            aligned=report["alignment"]["aligned"],
+            f_px=report["calibration"]["f_px"],
+            sigma_f_px=report["calibration"]["sigma"]["f_px"],
+            peer_aligned=0,
+        )
+        if theirs.code != 0:
+            return row
+        data = np.load(work / "peer.npz")
+        if not int(data["aligned"]):
+            return row
+        try:
+            sigma = peer_sigma_percent(work / "peer.npz", nominal)
+        except AlignmentError:
+            sigma = None
+        return replace(
+            row,
+            peer_aligned=int(data["aligned"]),
+            peer_f_px=float(data["params"][0]),
+            peer_rms_px=float(data["mean_reprojection_px"]),
+            peer_sigma_percent=sigma,
+        )
+
+
+def _shown(value: float | None, digits: int) -> str:
+    return "-" if value is None else f"{value:.{digits}f}"
 
 
 def own_sigma_percent(photos: Path) -> float:
@@ -125,8 +156,7 @@ def own_sigma_percent(photos: Path) -> float:
     found, _ = read_photos(collect([photos]))
     aligner = Aligner()
     aligner.add_all(found)
-    solved = estimate(aligner.solve().calibrated)
-    return 100 * solved.sigma_f_formal_px / solved.brown.f_px
+    return _formal_percent(aligner.solve().calibrated)
 
 
 def main() -> None:
@@ -147,24 +177,21 @@ def main() -> None:
         "position, OPENCV camera. `sigma f`: formal, of both networks of tie points under fieldcal's own "
         "adjustment and the noise found in each. Made by `make bench`.",
         "",
-        "| set | photos | fieldcal CPU s | pycolmap CPU s | ratio | wall s | peak MB | aligned | sigma f % | "
-        "pycolmap's own f px (residual px) |",
-        "|---|---|---|---|---|---|---|---|---|---|",
+        "| set | photos | fieldcal CPU s | pycolmap CPU s | ratio | wall s | peak MB | aligned | sigma f % "
+        "| pycolmap's own f px (residual px) | fieldcal's f px |",
+        "|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     for name in names:
         print(f"{name} ...", file=sys.stderr, flush=True)
         row = compare(Path(data) / name)
-        ours, theirs, peer, report = row["ours"], row["theirs"], row["peer"], row["report"]
         sigma = own_sigma_percent(Path(data) / name)
-        their_sigma = peer.get("sigma_f_percent")
         lines.append(
-            f"| {name} | {row['photos']} | {ours.cpu_s:.0f} | {theirs.cpu_s:.0f} "
-            f"| {theirs.cpu_s / ours.cpu_s:.1f} | {ours.wall_s:.0f} / {theirs.wall_s:.0f} "
-            f"| {ours.peak_mb:.0f} / {theirs.peak_mb:.0f} "
-            f"| {report['alignment']['aligned']} / {peer['aligned']} "
-            f"| {sigma:.4f} / {their_sigma if isinstance(their_sigma, str) else f'{their_sigma or 0:.4f}'} "
-            f"| {peer.get('f_px', 0):.1f} ({peer.get('rms_px', 0):.2f}); fieldcal "
-            f"{report['calibration']['f_px']:.1f} ± {report['calibration']['sigma']['f_px']:.1f} |"
+            f"| {name} | {row.photos} | {row.ours.cpu_s:.0f} | {row.theirs.cpu_s:.0f} "
+            f"| {row.theirs.cpu_s / row.ours.cpu_s:.1f} | {row.ours.wall_s:.0f} / {row.theirs.wall_s:.0f} "
+            f"| {row.ours.peak_mb:.0f} / {row.theirs.peak_mb:.0f} | {row.aligned} / {row.peer_aligned} "
+            f"| {sigma:.4f} / {_shown(row.peer_sigma_percent, 4)} "
+            f"| {_shown(row.peer_f_px, 1)} ({_shown(row.peer_rms_px, 2)}) "
+            f"| {row.f_px:.1f} ± {row.sigma_f_px:.1f} |"
         )
         given.out.write_text("\n".join(lines) + "\n")
     command = shutil.which("colmap")

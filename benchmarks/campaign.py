@@ -20,11 +20,12 @@ from pathlib import Path
 
 import numpy as np
 
+from benchmarks.truth import mapping_error
 from calib.align.selfcal import mask
-from calib.align.uncertainty import estimate, projection_jacobian
-from calib.brownfit import fit_brown, image_grid_rays
+from calib.align.uncertainty import estimate
+from calib.brownfit import fit_brown
 from calib.field import Lens
-from sim.network import SimBlock, SimOptions, survey
+from sim.network import SimOptions, survey
 from sim.solve import calibrate_block
 
 HERE = Path(__file__).parent
@@ -100,7 +101,7 @@ def score(case: Case) -> Score:
     truth = block.lens.brown
     sigma = np.sqrt(np.diag(found.covariance))
     off = (found.brown.vector - truth.vector) / np.where(sigma > 0, sigma, np.inf)
-    profile, ratio = _profile(block, found.lens, found.lens_covariance)
+    profile, ratio = mapping_error(found.lens, block.total_px, found.lens_covariance)
     plain_free = calibrated.adjusted.free & mask(("f", "cx", "cy", "k1", "k2", "k3", "p1", "p2"))
     start = replace(calibrated.adjusted.state, lens=Lens(found.brown))
     plain = calibrated.adjustment.run(start, plain_free, 40, decrement=0.1)
@@ -125,34 +126,6 @@ def score(case: Case) -> Score:
         rolls=calibrated.adjustment.priors.shutter_sigma_m is not None,
         cpu_s=time.process_time() - started,
     )
-
-
-def _profile(block: SimBlock, lens: Lens, covariance: np.ndarray) -> tuple[float, float]:
-    """Rms error of the total mapping over the image, px, and its ratio to the reported rms.
-
-    A rotation common to all cameras cannot be seen by any block, and a shift of the principal
-    point is one to first order: the best rotation is taken out of the error and of the covariance.
-    """
-    rays = image_grid_rays(lens, 12, 9)
-    difference = (lens.project(rays) - block.total_px(rays)).ravel()
-    jacobian = projection_jacobian(lens)
-    _, by_ray, _ = lens.derivatives(rays)
-    x, y = rays.T
-    turns = np.stack(
-        [
-            np.stack([x * y, 1 + y * y], axis=-1),
-            np.stack([-(1 + x * x), -x * y], axis=-1),
-            np.stack([y, -x], axis=-1),
-        ],
-        axis=-1,
-    )
-    basis = (by_ray @ turns).reshape(-1, 3)
-    q, _ = np.linalg.qr(basis)
-    rest = difference - q @ (q.T @ difference)
-    jacobian = jacobian - q @ (q.T @ jacobian)
-    expected = float(np.einsum("ij,jk,ik->", jacobian, covariance, jacobian, optimize=True))
-    size = float(rest @ rest)
-    return math.sqrt(size / len(rays)), math.sqrt(size / max(expected, 1e-300))
 
 
 def cases_table(seeds: int) -> list[Case]:

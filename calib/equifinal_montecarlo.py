@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.stats import qmc
 
 from calib.camera import FloatArray
 from calib.equifinal import STRICT_TOLERANCE_PX, Radial, best_pair
@@ -97,6 +96,8 @@ def monte_carlo(
 
     def hits_in(origin: FloatArray, edges: FloatArray, count: int) -> FloatArray:
         """Hits (h, 2) in units of the box, of draws from origin + u edges[0] + v edges[1]."""
+        from scipy.stats import qmc  # Half a second to load, and only this command needs it.
+
         engine = qmc.Sobol(2, scramble=True, rng=rng)
         kept = []
         for start in range(0, count, _CHUNK):

@@ -35,7 +35,9 @@ DEFAULT_OUT = Path("fieldcal-out")
 
 
 def check(
-    photos: Annotated[list[Path], typer.Argument(metavar="PATH...", help="Photos, or folders of photos.")],
+    photos: Annotated[
+        list[Path], typer.Argument(metavar="PATH...", help="Photos, or folders of photos.", readable=False)
+    ],
     reference: Annotated[
         str | None, typer.Option(metavar="NAME|FILE", help="Hold the calibration against this reference.")
     ] = None,
@@ -44,7 +46,7 @@ def check(
         typer.Option("--save-reference", metavar="NAME", help="Keep this calibration as a reference."),
     ] = None,
     out: Annotated[
-        Path, typer.Option(metavar="DIR", help="Where the report and the exports go.")
+        Path, typer.Option(metavar="DIR", help="Where the report and the exports go.", readable=False)
     ] = DEFAULT_OUT,
     json_to: Annotated[
         str | None,
@@ -104,7 +106,7 @@ def _save(result: CheckResult, name: str) -> str:
     if sigma > REFERENCE_SIGMA_PERCENT or broken:
         why = (
             f"its focal length is known to {sigma:.2f} % only, and {REFERENCE_SIGMA_PERCENT} % is needed"
-            if not broken
+            if sigma > REFERENCE_SIGMA_PERCENT
             else f"it is flagged for {', '.join(broken)}"
         )
         return f"fieldcal: not saved as reference {name}: {why}."

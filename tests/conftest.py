@@ -13,6 +13,10 @@ from pathlib import Path
 
 import pytest
 
+from calib.photos.photo import Photo
+from calib.photos.read import read_photo
+from sim.survey import SurveyTruth, write_survey
+
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:
@@ -21,3 +25,11 @@ def data_dir() -> Path:
     if not folder:
         pytest.skip("FIELDCAL_DATA is not set: no real photo sets here")
     return Path(folder)
+
+
+@pytest.fixture(scope="session")
+def site(tmp_path_factory: pytest.TempPathFactory) -> tuple[tuple[Photo, ...], SurveyTruth]:
+    """Twelve nadir and eight convergent photos of 640 x 480 px, rendered once, in the order of truth."""
+    folder = tmp_path_factory.mktemp("site")
+    truth = write_survey("demo", folder, 3, size=(640, 480), workers=1)
+    return tuple(read_photo(folder / name) for name in truth.photos), truth

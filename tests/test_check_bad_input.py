@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from check_fixtures import (
+from check_process import (
     Ran,
     Survey,
     check,
@@ -485,7 +485,7 @@ def test_ctrl_c_is_one_line_and_leaves_nothing(
         os.killpg(process.pid, signal.SIGINT)
         ran = ended(process, 30)
         assert ran == Ran(130, "", "fieldcal: Interrupted.\n")
-        assert session(process.pid) == []
+        wait_for(lambda: not session(process.pid), 5)
 
 
 def test_terminating_leaves_nothing(home: Path, card: Path) -> None:
@@ -494,7 +494,7 @@ def test_terminating_leaves_nothing(home: Path, card: Path) -> None:
         process.terminate()
         ran = ended(process, 30)
         assert ran == Ran(143, "", "")
-        assert session(process.pid) == []
+        wait_for(lambda: not session(process.pid), 5)
 
 
 def test_a_killed_command_leaves_no_orphan_at_work(home: Path, card: Path) -> None:
@@ -521,9 +521,10 @@ def test_a_killed_child_is_tried_again(home: Path, card: Path) -> None:
 
 def test_a_child_killed_twice_is_given_up_with_a_sentence(home: Path, card: Path) -> None:
     with untouched(card, home), running(home, card) as process:
+        killed = [None]
         for _ in range(2):
-            os.kill(wait_for(lambda: worker(process.pid)), signal.SIGKILL)
-            wait_for(lambda: worker(process.pid) is None)
+            killed.append(wait_for(lambda: (pid := worker(process.pid)) not in killed and pid))
+            os.kill(killed[-1], signal.SIGKILL)
         ran = ended(process)
         assert ran.code == 2
         assert "The alignment process died 2 times" in ran.sentence

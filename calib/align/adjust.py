@@ -472,7 +472,10 @@ class Adjustment:
         rest_turn = d_pose[:, :3] + (state.rotations @ gauge[3:6])
         shutter = state.shutter_m
         if d_pose.shape[1] == 9:
-            shutter = (0.0 if shutter is None else grown * shutter @ turn.T) + d_pose[:, 6:]
+            before = np.zeros((len(offset_c), 3)) if shutter is None else shutter
+            # What the transformation does to the ways already, to first order, is not done twice.
+            rest_shutter = d_pose[:, 6:] - np.cross(gauge[3:6], before) - gauge[6] * before
+            shutter = grown * before @ turn.T + rest_shutter
         return State(
             lens=state.lens.with_vector(vector),
             rotations=rotation_exp(rest_turn) @ state.rotations @ turn.T,
@@ -492,6 +495,7 @@ class Adjustment:
         reweightings: int = 4,
         response: bool = False,
         weights: tuple[FloatArray, FloatArray] | None = None,
+        damping: float = 1e-4,
         tick: Callable[[], None] | None = None,
     ) -> Adjusted:
         """Adjust from ``start`` with the lens parameters in ``free`` estimated.
@@ -505,6 +509,7 @@ class Adjustment:
             response: also give d points / d lens (for the dome).
             weights: keep these weights of measurements (n,) and positions (k,): models compared by
                 their chi-square must weigh alike.
+            damping: at the start; next to none where ``start`` is near the optimum.
             tick: called once an iteration (progress, cancel by raising).
         """
         state, iterations, converged = start, 0, False
@@ -517,7 +522,7 @@ class Adjustment:
             # The first weights may come from a poor start: do not follow them far.
             limit = max_iterations if round_ >= 2 or last else min(max_iterations, iterations + 6)
             state, iterations, converged = self._descend(
-                state, free, weights, iterations, limit, decrement if last else 10 * decrement, tick
+                state, free, weights, damping, iterations, limit, decrement if last else 10 * decrement, tick
             )
             if last or iterations >= max_iterations or (converged and round_ and iterations - before <= 1):
                 break
@@ -530,13 +535,14 @@ class Adjustment:
         state: State,
         free: BoolArray,
         weights: tuple[FloatArray, FloatArray],
+        damping: float,
         iterations: int,
         max_iterations: int,
         decrement: float,
         tick: Callable[[], None] | None,
     ) -> tuple[State, int, bool]:
         """Levenberg-Marquardt with constant weights (damping after Nielsen 1999)."""
-        damping, growth, idle = 1e-4, 2.0, 0
+        growth, idle = 2.0, 0
         cost = self.cost(state, weights)
         lin = self._linearise(state, free, weights)
         while iterations < max_iterations:

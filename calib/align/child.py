@@ -11,7 +11,9 @@ import traceback
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
+from pathlib import Path
 
+import cv2
 import numpy as np
 
 from calib.align.dome import predict_dome
@@ -78,6 +80,9 @@ def work(job: Job, progress: Progress) -> Outcome:
 def _child(job: Job, pipe: Connection) -> None:
     # Ctrl-C goes to the parent, which ends this process.
     signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # What is to be said goes through the pipe; libraries chatter on stderr (libjpeg on damaged photos).
+    with Path(os.devnull).open("wb") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
     if job.memory_limit_bytes is not None:
         resource.setrlimit(resource.RLIMIT_AS, (job.memory_limit_bytes, job.memory_limit_bytes))
     last = 0.0
@@ -93,12 +98,20 @@ def _child(job: Job, pipe: Connection) -> None:
         pipe.send(("done", work(job, progress)))
     except FieldcalError as error:
         pipe.send(("error", (type(error), str(error))))
-    except MemoryError:
-        pipe.send(("memory", None))
     except BrokenPipeError:
         os._exit(1)  # The parent is gone, and nobody is left to tell.
     except Exception as error:  # noqa: BLE001 the top of the process: a defect is told, not retried
-        pipe.send(("defect", (type(error).__name__, traceback.format_exc())))
+        if _short_of_memory(error):
+            pipe.send(("memory", None))
+        else:
+            pipe.send(("defect", (type(error).__name__, traceback.format_exc())))
+
+
+def _short_of_memory(error: Exception) -> bool:
+    """Python, OpenCV and the thread library each say it in their own way."""
+    if isinstance(error, cv2.error):
+        return error.code == cv2.Error.StsNoMem
+    return isinstance(error, MemoryError) or "can't start new thread" in str(error)
 
 
 def run_job(job: Job, progress: Progress, attempts: int = 2) -> Outcome:
@@ -131,6 +144,8 @@ def _run_once(job: Job, progress: Progress) -> Outcome | None:
     blocked = signal.pthread_sigmask(signal.SIG_BLOCK, {signal.SIGINT})
     try:
         process.start()
+    except BrokenPipeError:
+        return None  # It died before it had its orders.
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         for name, value in before.items():

@@ -50,7 +50,10 @@ def decode_gray(path: Path, longer_side_px: int | None) -> tuple[NDArray[np.uint
         data = np.fromfile(path, dtype=np.uint8)
     except OSError as error:
         raise PhotoError(f"{path}: cannot be read ({error.strerror}).") from error
-    image = cv2.imdecode(data, flags) if len(data) else None
+    try:
+        image = cv2.imdecode(data, flags) if len(data) else None
+    except cv2.error:  # A size that it refuses to allocate.
+        image = None
     if image is None:
         raise PhotoError(f"{path}: the image data cannot be decoded; copy the file from the card again.")
     full = np.asarray(image, dtype=np.uint8)

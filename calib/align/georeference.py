@@ -20,6 +20,8 @@ LEAST_SIGMA_M = 0.05
 #: Misfits beyond this many metres (or sigmas) do not come from an honest receiver.
 FAULT_M = 10.0
 GIMBAL_SIGMA_DEG = 5.0
+#: Share of geotags that may be stray (an old fix before the receiver woke up) without spoiling the rest.
+STRAY_SHARE = 0.1
 
 
 @dataclass(frozen=True)
@@ -90,14 +92,18 @@ def place(rotations: FloatArray, centres: FloatArray, points: FloatArray, tags: 
     origin = None if frame is None else (frame.latitude_deg, frame.longitude_deg, frame.altitude_m)
     target, sigma = tags.positions_m[has], tags.sigma_m[has]
     fitted, residual = fit_robust(centres[has], target, np.maximum(sigma, 0.5))
+    limit_xy = max(FAULT_M, 3 * float(np.median(sigma[:, 0])))
+    near = np.linalg.norm(residual, axis=1) < 2 * limit_xy
+    if (~near).sum() > STRAY_SHARE * len(near):
+        near[:] = True
+    residual = residual[near]
     rms_xy = float(np.sqrt(np.mean(np.sum(residual[:, :2] ** 2, axis=1))))
     rms_z = float(np.sqrt(np.mean(residual[:, 2] ** 2)))
     # The tags fix the up direction only as far as they spread sideways.
     up_tags, up_level = fitted.rotation[2], leveled.rotation[2]
     conflict = float(np.degrees(np.arccos(np.clip(up_tags @ up_level, -1, 1))))
-    sideways = np.linalg.svd(target - target.mean(axis=0), compute_uv=False)
+    sideways = np.linalg.svd(target[near] - target[near].mean(axis=0), compute_uv=False)
     line_like = sideways[1] < 0.1 * sideways[0]
-    limit_xy = max(FAULT_M, 3 * float(np.median(sigma[:, 0])))
     fault = None
     if rms_xy > limit_xy or rms_z > 2 * limit_xy:
         axis = ("east", "north", "height")[int(np.sqrt(np.mean(residual**2, axis=0)).argmax())]

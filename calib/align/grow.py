@@ -42,8 +42,7 @@ def free_network_priors(k: int, lens: Lens, extent: float, centres: FloatArray) 
     spread = np.full((k, 3), 30.0 * extent)
     lens_sigma = np.full(len(LENS_NAMES), np.inf)
     lens_sigma[0] = 0.2 * lens.brown.f_px
-    lens_sigma[3] = 0.3
-    lens_sigma[4] = 0.3
+    lens_sigma[3:6] = 0.3
     return Priors(centres, spread, np.tile(np.eye(3), (k, 1, 1)), np.full(k, np.inf), lens.vector, lens_sigma)
 
 
@@ -266,7 +265,8 @@ def _settle(
     obs: Observations, block: Partial, side: int, tick: Callable[[], None] | None, quick: bool
 ) -> Partial:
     count = int(block.registered.sum())
-    names = "k1" if count < 4 else "f k1"
+    # The corners of a wide lens are bent more than f and K1 can follow: they would go as blunders.
+    names = "k1" if count < 4 else "f k1" if count < 8 else "f k1 k2 k3"
     block = reject_and_triangulate(obs, block, 0.004 * side, 1.0)
     block = adjust_partial(obs, block, lens_mask(names), 8 if quick else 12, 150, tick)
     return reject_and_triangulate(obs, block, 0.0025 * side, 1.0)

@@ -13,7 +13,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from calib.align.adjust import Adjusted, Adjustment, Priors, State, ray_angle_deg
 from calib.align.tracks import select
@@ -159,7 +159,7 @@ def _with_shutter(adjustment: Adjustment, result: Adjusted, tick: Callable[[], N
     trial = moving.run(state, result.free, 20, decrement=1.0, weights=weights, tick=tick)
     gain = (result.chi2 - trial.chi2) / result.sigma0**2
     unknowns = 3 * len(state.rotations)
-    return moving if float(chi2_distribution.sf(gain, unknowns)) < SHUTTER_P else adjustment
+    return moving if float(chdtrc(unknowns, max(gain, 0.0))) < SHUTTER_P else adjustment
 
 
 def _kept(

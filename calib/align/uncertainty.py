@@ -12,7 +12,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.stats import chi2 as chi2_distribution
+from scipy.special import chdtrc
 
 from calib.align.adjust import Adjusted, Adjustment, Priors, State
 from calib.align.selfcal import Calibrated
@@ -127,6 +127,7 @@ class _Part:
             max_iterations=40,
             decrement=0.05,
             weights=self.weights,
+            damping=1e-8,
             tick=tick,
         )
 
@@ -185,7 +186,7 @@ def estimate(block: Calibrated, tick: Callable[[], None] | None = None) -> Estim
         f = fit_brown(run.state.lens, keep_k4=bool(model.free[6]))[0].f_px
         worse = max((run.chi2 - own.chi2) / scale, 0.0)
         dropped = max(int(base.free.sum()) - int(model.free.sum()), 1)
-        if float(chi2_distribution.sf(worse, dropped)) < DEFENSIBLE_P or not np.isfinite(f):
+        if float(chdtrc(dropped, worse)) < DEFENSIBLE_P or not np.isfinite(f):
             rejected[model.name] = fitted.f_px + f - f_here
             continue
         models[model.name] = fitted.f_px + f - f_here
