@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from functools import lru_cache
 
 import numpy as np
 
 from calib.align.adjust import Adjustment, BoolArray, Priors, State
 from calib.align.grow import lens_mask
+from calib.align.selfcal import Calibrated
 from calib.camera import FloatArray
 from calib.field import FIELD_NAMES, LENS_NAMES, Lens
 from sim.network import SimBlock, SimOptions, survey
+from sim.solve import calibrate_block
 
 INDEX = {name: i for i, name in enumerate(LENS_NAMES)}
 NOMINAL_F_PX = 2320.06 * 1.02
@@ -69,3 +72,10 @@ def f_error_sigmas(lens: Lens, truth: Lens, covariance: FloatArray) -> FloatArra
     """Errors of all parameters over their formal sigmas (NaN where held)."""
     sigma = np.sqrt(np.diag(covariance))
     return (lens.vector - truth.vector) / np.where(sigma > 0, sigma, np.nan)
+
+
+@lru_cache(maxsize=128)
+def solved(name: str, seed: int, n_points: int, **options: float) -> tuple[SimBlock, Calibrated]:
+    """A simulated block and its self-calibration; made once for all tests that ask for the same."""
+    block = small(name, seed, n_points, **options)
+    return block, calibrate_block(block, NOMINAL_F_PX, seed)

@@ -44,7 +44,8 @@ class Scene:
         """Pixels (n, 2) of points (n, 3) in ``photo`` (n,)."""
         offset = points_m - self.truth.centres_m[photo]
         in_cam = np.einsum("nij,nj->ni", self.truth.rotations_cam_from_world[photo], offset)
-        return self.lens.project(in_cam[:, :2] / in_cam[:, 2:])
+        pixels: FloatArray = self.lens.project(in_cam[:, :2] / in_cam[:, 2:])
+        return pixels
 
     def overlap(self, a: int, b: int) -> float:
         """Share of photo ``a`` that photo ``b`` sees too."""

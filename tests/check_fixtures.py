@@ -17,14 +17,14 @@ def _rendered(factory: pytest.TempPathFactory, seed: int, size: tuple[int, int])
 
 @pytest.fixture(scope="session")
 def survey(tmp_path_factory: pytest.TempPathFactory) -> Survey:
-    """12 nadir and 8 convergent photos of 800 x 600 px."""
-    return _rendered(tmp_path_factory, 1, (800, 600))
+    """12 nadir and 8 convergent photos of 1000 x 750 px."""
+    return _rendered(tmp_path_factory, 1, (1000, 750))
 
 
 @pytest.fixture(scope="session")
 def second_survey(tmp_path_factory: pytest.TempPathFactory) -> Survey:
     """The same camera on another flight over other ground."""
-    return _rendered(tmp_path_factory, 2, (800, 600))
+    return _rendered(tmp_path_factory, 2, (1000, 750))
 
 
 @pytest.fixture(scope="session")

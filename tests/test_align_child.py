@@ -52,6 +52,7 @@ class Killer:
         self.stages: list[str] = []
 
     def __call__(self, stage: str, done: int, total: int) -> None:
+        del done, total
         self.stages.append(stage)
         if stage == "reading photos" and self.left:
             self.left -= 1

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 import numpy as np
 import pytest
-from align_blocks import INDEX, NOMINAL_F_PX, block_adjustment, loose_priors, small, truth_of
+from align_blocks import INDEX, block_adjustment, loose_priors, small, solved, truth_of
 
 from calib.align.dome import aligned_difference_m, dome_amplitude_m, predict_dome, site_radius_m
 from calib.align.grow import lens_mask
@@ -15,7 +15,6 @@ from calib.camera import FloatArray
 from calib.field import LENS_NAMES
 from calib.solution import Dome
 from sim.network import SimBlock
-from sim.solve import calibrate_block
 
 
 def flat_site(seed: int, m: int = 400) -> FloatArray:
@@ -90,10 +89,9 @@ def test_map_shows_the_dome() -> None:
 
 def test_sigma_is_the_scatter_of_the_difference() -> None:
     ratios = []
-    for seed in range(16):
-        block = small("demo", seed, 150)
-        solved = calibrate_block(block, NOMINAL_F_PX, seed)
-        dome = predict_dome(solved, solved.adjusted.covariance, block.lens, 60.0)
+    for seed in range(20):
+        block, calibrated = solved("demo", seed, 200)
+        dome = predict_dome(calibrated, calibrated.adjusted.covariance, block.lens, 60.0)
         assert dome.amplitude_m is not None
         ratios.append(dome.amplitude_m / dome.sigma_m)
     assert 0.7 < np.sqrt(np.mean(np.square(ratios))) < 1.4
@@ -101,9 +99,8 @@ def test_sigma_is_the_scatter_of_the_difference() -> None:
 
 
 def nadir_dome(name: str) -> Dome:
-    block = small(name, 2, 300)
-    solved = calibrate_block(block, NOMINAL_F_PX, 2)
-    return predict_dome(solved, solved.adjusted.covariance, None, 60.0)
+    _, calibrated = solved(name, 2, 200)
+    return predict_dome(calibrated, calibrated.adjusted.covariance, None, 60.0)
 
 
 def test_network_decides_what_is_left_open() -> None:
@@ -119,6 +116,8 @@ def test_block_without_response_is_refused() -> None:
     block = small("demo", 1, 100)
     adjustment = block_adjustment(block, loose_priors(block, 2.5))
     bare = adjustment.run(truth_of(block), lens_mask("f"))
-    solved = Calibrated(adjustment, bare, np.arange(len(block.points_m)), np.arange(len(block.observations)))
+    bare_block = Calibrated(
+        adjustment, bare, np.arange(len(block.points_m)), np.arange(len(block.observations))
+    )
     with pytest.raises(ValueError, match="response"):
-        predict_dome(solved, bare.covariance, None, 60.0)
+        predict_dome(bare_block, bare.covariance, None, 60.0)

@@ -143,7 +143,7 @@ def test_too_few_and_unrelated_photos(site: Site, tmp_path: Path) -> None:
     # 0 and 3 and 8 do not overlap.
     aligner = Aligner(SETTINGS)
     aligner.add_all([site[0][i] for i in (0, 3, 8)])
-    with pytest.raises(AlignmentError, match="could not be joined|No two photos"):
+    with pytest.raises(AlignmentError, match=r"could not be joined|No two photos"):
         aligner.solve()
     missing = replace(site[0][0], path=tmp_path / "gone.JPG")
     aligner = Aligner(SETTINGS)

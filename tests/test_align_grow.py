@@ -26,11 +26,11 @@ def block_of(block: SimBlock, seed: int = 0) -> Partial:
 @pytest.mark.parametrize(
     ("name", "options", "most_m", "most_deg", "f_share"),
     [
-        # Straight down over flat ground nobody knows f: the block comes out domed, but whole.
-        ("nadir_one_height", {"relief_m": 0.0}, 3.0, 8.0, 0.25),
-        ("orbit", {"relief_m": 0.0}, 1.0, 1.5, 0.03),
-        ("demo", {}, 1.5, 1.5, 0.05),
-        ("demo", {"mismatch_rate": 0.05}, 1.5, 1.5, 0.05),
+        # Straight down over flat ground f is known to a few percent at most.
+        ("nadir_one_height", {"relief_m": 0.0}, 1.0, 1.0, 0.1),
+        ("orbit", {"relief_m": 0.0}, 0.2, 0.2, 0.005),
+        ("demo", {}, 0.3, 0.3, 0.005),
+        ("demo", {"mismatch_rate": 0.05}, 0.4, 0.4, 0.005),
     ],
     ids=["nadir over flat ground", "oblique over flat ground", "mixed", "with mismatches"],
 )
@@ -44,8 +44,12 @@ def test_all_photos_find_their_place(
     assert away.max() < most_m
     assert angle.max() < most_deg
     assert abs(found.lens.brown.f_px / block.lens.brown.f_px - 1) < f_share
-    assert found.active.mean() > 0.85
-    assert np.isfinite(found.points[:, 0]).mean() > 0.9
+    assert np.isfinite(found.points[:, 0]).mean() > 0.97
+    # The corners of the image too: nothing there is taken for a blunder because the lens bends it.
+    corner = np.linalg.norm(block.observations.pixels - [2000, 1500], axis=1) > 2050
+    assert corner.sum() > 30
+    for part in (corner, ~corner):
+        assert found.active[part & ~block.mismatched].mean() > 0.97
     if block.mismatched.any():
         off = np.linalg.norm(block.observations.pixels - block.true_pixels(), axis=1)
         gross = off > 25
@@ -78,10 +82,10 @@ def test_going_on_gives_what_starting_over_gives() -> None:
     assert on is not None
     assert on.registered.all()
     _, away, angle = placed(block, on)
-    assert away.max() < 1.5
-    assert angle.max() < 1.5
+    assert away.max() < 0.3
+    assert angle.max() < 0.3
     fresh = block_of(block)
-    assert abs(on.lens.brown.f_px / fresh.lens.brown.f_px - 1) < 0.01
+    assert abs(on.lens.brown.f_px / fresh.lens.brown.f_px - 1) < 0.001
 
 
 def test_going_on_from_another_block_is_refused() -> None:
@@ -91,7 +95,12 @@ def test_going_on_from_another_block_is_refused() -> None:
     assert first is not None
     shuffled = np.random.default_rng(0).permutation(14)
     wrong = Partial(
-        first.lens, first.registered, first.rotations[shuffled], first.centres[shuffled], first.points, first.active
+        first.lens,
+        first.registered,
+        first.rotations[shuffled],
+        first.centres[shuffled],
+        first.points,
+        first.active,
     )
     assert resume_block(block.observations, wrong, 20, 0) is None
 
@@ -150,7 +159,9 @@ def test_matches_join_to_tracks() -> None:
     obs = build_tracks(features, pairs, 0.7)
     assert obs.point.tolist() == [0, 0, 0, 1, 1, 2, 2]
     assert obs.photo.tolist() == [0, 1, 2, 0, 1, 0, 2]
-    assert np.array_equal(obs.pixels[:3], [features[0].pixels[0], features[1].pixels[1], features[2].pixels[3]])
+    assert np.array_equal(
+        obs.pixels[:3], [features[0].pixels[0], features[1].pixels[1], features[2].pixels[3]]
+    )
     assert np.array_equal(obs.sigma_px, np.full(7, 0.7))
 
 
@@ -168,7 +179,10 @@ def test_no_matches_no_tracks() -> None:
 
 def test_selection_renumbers_and_drops_single_views() -> None:
     obs = Observations(
-        np.array([0, 1, 0, 1, 2, 1, 2]), np.array([0, 0, 1, 1, 1, 2, 2]), np.arange(14.0).reshape(7, 2), np.ones(7)
+        np.array([0, 1, 0, 1, 2, 1, 2]),
+        np.array([0, 0, 1, 1, 1, 2, 2]),
+        np.arange(14.0).reshape(7, 2),
+        np.ones(7),
     )
     sub, old = select(obs, np.array([1, 0, 1, 1, 0, 1, 1], bool))
     assert old.tolist() == [1, 2]

@@ -30,6 +30,11 @@ SIDE = 640
 CHOSEN = (0, 1, 5, 6, 7, 12, 15, 18)
 
 
+def nearest(among: FloatArray, to: FloatArray) -> tuple[FloatArray, IntArray]:
+    distance, index = cKDTree(among).query(to)
+    return np.asarray(distance, float), np.asarray(index, np.intp)
+
+
 # -- features --------------------------------------------------------------------------------------
 
 
@@ -39,7 +44,7 @@ def test_features_stay_in_place_when_the_image_is_turned(site: Site) -> None:
     first = extract(gray, factor)
     second = extract(np.ascontiguousarray(gray[::-1, ::-1]), factor)
     back = [gray.shape[1], gray.shape[0]] - second.pixels
-    distance, index = cKDTree(back).query(first.pixels)
+    distance, index = nearest(back, first.pixels)
     near = distance < 0.5
     assert near.mean() > 0.7
     # A quarter of a pixel is what OpenCV's plain upscaling costs.
@@ -53,7 +58,7 @@ def test_features_of_reduced_images_are_in_full_pixels(site: Site) -> None:
     assert gray.shape == (300, 400)
     assert factor == pytest.approx(400 / 640)
     half = extract(gray, factor)
-    distance, index = cKDTree(full.pixels).query(half.pixels)
+    distance, index = nearest(full.pixels, half.pixels)
     near = distance < 1.0
     assert near.mean() > 0.5
     assert np.abs((full.pixels[index] - half.pixels)[near].mean(axis=0)).max() < 0.08
@@ -145,7 +150,7 @@ def test_photos_of_other_ground_do_not_match(site: Site) -> None:
     places = np.array([[0.0, 0.0, 60.0], [-25.0, 10.0, 60.0], [0.0, 40.0, 60.0]])
     for index, (rotation, centre) in enumerate(zip(turns, places, strict=True)):
         image = render(world, rays, rotation, centre, seed=index)
-        strange = extract(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), 1.0)
+        strange = extract(np.asarray(cv2.cvtColor(image, cv2.COLOR_RGB2GRAY), np.uint8), 1.0)
         assert len(strange) > 1000
         for photo in CHOSEN:
             assert match_pair(photo, 20, features_of(site[0][photo]), strange, SIDE, 0) is None
@@ -265,9 +270,7 @@ def test_refined_tie_points_are_where_truth_puts_them(
     assert abs(float(np.mean(np.sum(out * after, axis=1)))) < 0.01
 
 
-def test_patches_without_a_counterpart_are_refused(
-    site: Site, tied: tuple[Observations, FloatArray]
-) -> None:
+def test_patches_without_a_counterpart_are_refused(site: Site, tied: tuple[Observations, FloatArray]) -> None:
     photos, truth = site
     obs, points = tied
     chosen = np.array(CHOSEN)
@@ -296,5 +299,3 @@ def test_normals_of_a_slope() -> None:
     points = np.column_stack([ground, 0.2 * ground[:, 0] - 0.1 * ground[:, 1]])
     expected = np.array([-0.2, 0.1, 1.0]) / np.linalg.norm([-0.2, 0.1, 1.0])
     assert np.abs(np.abs(surface_normals(points) @ expected) - 1).max() < 1e-9
-
-

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from align_blocks import NOMINAL_F_PX, small
+from align_blocks import solved
 
+from calib.align.correlation import SMOOTHER_STILL, correlation_factor
 from calib.align.selfcal import Calibrated
-from calib.align.uncertainty import correlation_factor, estimate, projection_jacobian
+from calib.align.uncertainty import estimate, projection_jacobian
 from calib.brownfit import fit_brown, image_grid_rays
 from calib.solution import Estimate
 from sim.network import SimBlock
-from sim.solve import calibrate_block
 
 
 def factor_of(solved: Calibrated) -> float:
@@ -19,33 +19,29 @@ def factor_of(solved: Calibrated) -> float:
     return correlation_factor(adjusted.residuals_px, adjusted.weights, seen.photo, seen.pixels, (4000, 3000))
 
 
-def solved(seed: int, n_points: int, name: str = "demo", **options: float) -> tuple[SimBlock, Calibrated]:
-    block = small(name, seed, n_points, **options)
-    return block, calibrate_block(block, NOMINAL_F_PX, seed)
-
-
 @pytest.fixture(scope="module")
 def estimates() -> list[tuple[SimBlock, Calibrated, Estimate]]:
-    made = [solved(seed, 200) for seed in range(8)]
+    made = [solved("demo", seed, 200) for seed in range(8)]
     return [(block, calibrated, estimate(calibrated)) for block, calibrated in made]
 
 
 def test_white_noise_has_no_factor(estimates: list[tuple[SimBlock, Calibrated, Estimate]]) -> None:
     """Also on thin blocks, where poses eat much of the few residuals in each part of a photo."""
     factors = [e.correlation_factor for _, _, e in estimates]
-    assert min(factors) == 1.0
-    assert max(factors) < 1.15
+    assert np.median(factors) == 1.0
+    assert max(factors) < 1 + 0.15 * SMOOTHER_STILL
+    assert np.mean(factors) < 1.15
     assert [factor_of(c) for _, c, _ in estimates] == factors
-    assert 1.0 <= factor_of(solved(1, 600)[1]) < 1.1
-    assert 1.0 <= factor_of(solved(1, 250, "A1")[1]) < 1.15
+    assert 1.0 <= factor_of(solved("demo", 1, 500)[1]) < 1.15
+    assert 1.0 <= factor_of(solved("A1", 2, 200)[1]) < 1.15
 
 
 def test_smooth_noise_has_one() -> None:
-    factors = [factor_of(solved(seed, 500, correlated_px=0.4)[1]) for seed in range(3)]
-    assert min(factors) > 1.6
-    assert max(factors) < 5
+    thin = [factor_of(solved("demo", seed, 200, correlated_px=0.4)[1]) for seed in range(3)]
+    assert min(thin) > 1.5
     # More points on the same smooth error carry no more information: the factor grows with them.
-    assert factor_of(solved(0, 200, correlated_px=0.4)[1]) < factors[0]
+    dense = factor_of(solved("demo", 0, 500, correlated_px=0.4)[1])
+    assert thin[0] * 1.2 < dense < 12
 
 
 def test_factor_counts_what_was_put_in() -> None:
@@ -60,7 +56,8 @@ def test_factor_counts_what_was_put_in() -> None:
     ones = np.ones(n)
     factor = correlation_factor(residuals, ones, photo, pixels, (4000, 3000))
     # 111 residuals a cell: 1 + 111 (0.1 / 0.5)^2 over the 6 of 9 cells that poses leave.
-    assert 0.8 < factor / ((1 + n / photos / 9 * 0.04) * 9 / 6) < 1.2
+    excess = (factor - 1) / SMOOTHER_STILL
+    assert 0.8 < (1 + excess) / ((1 + n / photos / 9 * 0.04) * 9 / 6) < 1.2
     # Outliers are not asked.
     residuals[:500] = 300.0
     assert correlation_factor(
@@ -77,7 +74,8 @@ def test_estimate_is_consistent(estimates: list[tuple[SimBlock, Calibrated, Esti
         # Nothing is wrong with this lens: sigma stays near the formal one.
         assert found.sigma_f_px < 2 * found.sigma_f_formal_px
         # Inflation adds, it never takes away.
-        grown = found.lens_covariance - calibrated.adjusted.covariance
+        excess = found.correlation_factor / calibrated.adjustment.noise_factor
+        grown = found.lens_covariance - excess * calibrated.adjusted.covariance
         scale = np.sqrt(np.maximum(np.diag(found.lens_covariance), 1e-30))
         assert np.linalg.eigvalsh(grown / np.outer(scale, scale)).min() > -1e-9
         assert found.spread_f_px == pytest.approx(
@@ -96,7 +94,7 @@ def test_models_that_do_not_fit_are_rejected(
     for _, _, found in estimates:
         assert "without K3" in found.rejected_models
         assert {"without affinity", "without residual field", "with K4"} <= set(found.models)
-    bent = estimate(solved(1, 200, aspect=0.005)[1])
+    bent = estimate(solved("demo", 1, 200, aspect=0.005)[1])
     assert "without affinity" in bent.rejected_models
 
 
@@ -117,7 +115,7 @@ def test_unmodelled_lens_is_held_by_sigma() -> None:
     """A pattern of 1.5 px, smooth noise, an aspect: three sigmas hold the true f all the same."""
     for options in ({"pattern_px": 1.5}, {"correlated_px": 0.4}, {"aspect": 0.005}):
         for seed in range(3):
-            block, calibrated = solved(seed, 200, **options)
+            block, calibrated = solved("demo", seed, 200, **options)
             found = estimate(calibrated)
             error = found.brown.f_px - block.lens.brown.f_px
             assert abs(error) < 3 * found.sigma_f_px < 40, (options, seed)
@@ -130,12 +128,12 @@ def test_progress_is_told() -> None:
         nonlocal count
         count += 1
 
-    estimate(solved(1, 100)[1], tick)
+    estimate(solved("demo", 1, 100)[1], tick)
     assert count > 8
 
 
 def test_projection_jacobian() -> None:
-    _, calibrated = solved(1, 100)
+    _, calibrated = solved("demo", 1, 100)
     lens = calibrated.adjusted.state.lens
     mapping = projection_jacobian(lens)
     move = np.random.default_rng(0).normal(0, 1, 35) * np.sqrt(np.diag(calibrated.adjusted.covariance)) * 0.1

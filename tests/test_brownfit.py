@@ -57,7 +57,7 @@ def test_pattern_orthogonal_to_brown_leaves_the_focal_length() -> None:
     # The field that imitates the pattern best.
     basis = Lens(camera).derivatives(rays)[2][:, :, 11:]
     coefficients = np.linalg.lstsq(basis.reshape(-1, 24), pattern(brown_px).ravel(), rcond=None)[0]
-    fitted, _ = fit_brown(Lens(camera, coefficients))
+    fitted, _ = fit_brown(Lens(camera, np.asarray(coefficients, float)))
     assert abs(fitted.f_px / camera.f_px - 1) < 2e-4
     assert np.abs(coefficients).max() > 0.05
 

@@ -1,4 +1,5 @@
 import io
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -7,6 +8,7 @@ import result_factory
 from rich.console import Console
 
 from calib.findings import Finding, State, Verdict
+from calib.photos.photo import LeftOut
 from calib.result import CheckResult
 from daemon.terminal import print_summary
 
@@ -64,3 +66,42 @@ def test_a_long_path_stays_on_one_line() -> None:
     path = Path("/media/" + "long-name/" * 12 + "report.html")
     text = _printed(result_factory.build(points=200), width=60, report=path)
     assert f"Report: {path}" in text.splitlines()
+
+
+def test_no_colour_where_the_user_declines(monkeypatch: pytest.MonkeyPatch) -> None:
+    result = result_factory.build(points=200)
+    shown = {}
+    for declined in (False, True):
+        if declined:
+            monkeypatch.setenv("NO_COLOR", "1")
+        else:
+            monkeypatch.delenv("NO_COLOR", raising=False)
+        stream = io.StringIO()
+        print_summary(result, Console(file=stream, width=80, force_terminal=True, color_system="standard"))
+        shown[declined] = stream.getvalue()
+    assert "\x1b[1;31m" in shown[False]
+    assert not re.search(r"\x1b\[[0-9;]*[34][0-7]", shown[True])
+
+
+def test_what_was_left_out_is_named_with_its_reason() -> None:
+    text = _printed(result_factory.build(points=200))
+    assert "  DJI_0027.JPG: taken below 10 m, at take-off or landing" in text
+    assert "  DJI_0028.JPG, DJI_0029.JPG: the horizon is in the picture" in text
+
+
+def test_many_left_out_are_shortened() -> None:
+    result = result_factory.build(points=200)
+    many = tuple(LeftOut(Path(f"{i:03d}.JPG"), f"reason {i // 10 if i < 20 else i}") for i in range(40))
+    text = _printed(replace(result, left_out=many))
+    assert "000.JPG, 001.JPG, 002.JPG and 7 more: reason 0" in text
+    assert "17 more, named in the report" in text
+
+
+def test_numbers_stay_with_their_units() -> None:
+    message = "Known to " + "very " * 8 + "well 0.1 % of it, to 12.5 px and to 3 sigma, by 18 photos. " * 4
+    finding = Finding("rule", State.FLAG, None, None, "", None, "", message)
+    for width in range(30, 81):
+        text = _printed(replace(result_factory.build(points=50), findings=(finding,)), width=width)
+        for line in text.splitlines():
+            assert not re.search(r"\d$", line), (width, line)
+        assert max(map(len, text.splitlines())) <= width

@@ -234,10 +234,16 @@ class Adjustment:
         priors: Priors,
         huber_sigmas: float = 2.5,
         robust_positions: bool = True,
+        noise_factor: float = 1.0,
     ) -> None:
+        """``noise_factor``: variance factor for correlated noise that ``obs.sigma_px`` contains already.
+
+        It makes image measurements weigh less against the priors; sigma0 is given without it.
+        """
         self.obs, self.priors = obs, priors
         self.topology = Topology(obs, n_photos, n_points)
-        self.huber = huber_sigmas
+        self.huber = huber_sigmas / np.sqrt(noise_factor)
+        self.noise_factor = noise_factor
         self.robust_positions = robust_positions
         self._has_centre = np.isfinite(priors.centre_sigma_m).all(axis=1)
         self._has_rotation = np.isfinite(priors.rotation_sigma_rad)
@@ -543,6 +549,7 @@ class Adjustment:
     ) -> tuple[State, int, bool]:
         """Levenberg-Marquardt with constant weights (damping after Nielsen 1999)."""
         growth, idle = 2.0, 0
+        history: list[float] = []
         cost = self.cost(state, weights)
         lin = self._linearise(state, free, weights)
         while iterations < max_iterations:
@@ -563,7 +570,11 @@ class Adjustment:
             gain = (cost - trial_cost) / max(predicted, 1e-300)
             # Single points on nearly parallel rays can hop about for ever without moving anything else.
             idle = idle + 1 if cost - trial_cost < decrement and predicted < 20 * decrement else 0
-            if idle >= 4:
+            # In a curved valley every full step overshoots; half a sigma from the floor is near enough
+            # when ten steps no longer gain a fraction of one.
+            history.append(cost)
+            crawling = len(history) > 10 and history[-11] - cost < 0.3 and predicted < 0.5
+            if idle >= 4 or crawling:
                 return (trial if trial_cost < cost else state), iterations, True
             if trial_cost < cost:
                 state, cost = trial, trial_cost
@@ -617,7 +628,7 @@ class Adjustment:
         # Position misfits tell of the receiver, not of the image measurements: sigma0 is the images' own.
         image_redundancy = max(2 * len(obs) - q * k - 3 * top.n_points - p + 7, 1)
         # Huber weights shrink the square sum of clean normal noise by a few percent.
-        sigma0 = float(np.sqrt(image / image_redundancy))
+        sigma0 = float(np.sqrt(image * self.noise_factor / image_redundancy))
         return Adjusted(
             state=state,
             free=free,

@@ -21,7 +21,13 @@ from calib.align.georeference import GIMBAL_SIGMA_DEG, Placement, Tags, place, r
 from calib.align.grow import Partial, build_block, resume_block
 from calib.align.matching import PairMatches, match_pair
 from calib.align.refine import refine
-from calib.align.selfcal import Calibrated, calibrate, with_lens_priors
+from calib.align.selfcal import (
+    NOMINAL_F_SIGMA,
+    UNKNOWN_F_SIGMA,
+    Calibrated,
+    calibrate,
+    with_lens_priors,
+)
 from calib.align.tracks import build_tracks, select, thin
 from calib.camera import BrownCamera
 from calib.errors import AlignmentError, PhotoError
@@ -236,7 +242,8 @@ class Aligner:
             extent = float(np.linalg.norm(state.centres_m - state.centres_m.mean(axis=0), axis=1).max())
             positions, sigma = state.centres_m, np.full((k, 3), 30 * max(extent, 1e-6))
         priors = Priors(positions, sigma, rotations, rotation_sigma, np.zeros(0), np.zeros(0))
-        return with_lens_priors(priors, camera.width, camera.height, self.nominal_focal_px())
+        share = NOMINAL_F_SIGMA if any(p.focal_px for p in self._photos) else UNKNOWN_F_SIGMA
+        return with_lens_priors(priors, camera.width, camera.height, self.nominal_focal_px(), share)
 
     def _solution(
         self,

@@ -15,7 +15,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calib.align.adjust import Adjusted, Adjustment, Priors, State
-from calib.align.selfcal import Calibrated
+from calib.align.selfcal import Calibrated, block_correlation
 from calib.align.tracks import select, thin
 from calib.brownfit import fit_brown, image_grid_rays
 from calib.camera import BROWN_NAMES, FloatArray
@@ -25,52 +25,8 @@ from calib.solution import Estimate
 NB = len(BROWN_NAMES)
 #: Observations above which the model comparisons run on a thinned block.
 COMPARE_ON = 25_000
-#: Noise that is correlated over cells is more so over whole photos, where poses and points hide it:
-#: the excess counts this many times (chosen on simulated nadir blocks, see benchmarks/honest_sigma.md).
-SMOOTHER_STILL = 2.0
 #: A model whose chi-square is worse with less probability than this is not defensible.
 DEFENSIBLE_P = 1e-3
-
-
-def correlation_factor(
-    residuals: FloatArray,
-    weights: FloatArray,
-    photo: np.ndarray,
-    pixels: FloatArray,
-    size: tuple[int, int],
-    photo_unknowns: int = 6,
-) -> float:
-    """Variance factor (>= 1) from residuals averaged over cells of each photo.
-
-    With independent noise the mean of n residuals has variance s2 / n; the factor is the largest
-    excess over cell sizes of a third to a seventh of the image. The share that pose parameters
-    take out of such means is allowed for.
-    """
-    good = weights > 0.5
-    residuals, photo, pixels = residuals[good], photo[good], pixels[good]
-    variance = float(np.mean(residuals**2))
-    per_photo = np.bincount(photo)
-    # Of a photo's unknowns, the counted cells hold as much as they hold of its measurements.
-    pose_share = min(photo_unknowns / 2 * int((per_photo > 0).sum()) / max(len(photo), 1), 0.5)
-    worst = 1.0
-    for cells in (3, 4, 5, 7):
-        index = np.minimum((pixels / np.array(size) * cells).astype(int), cells - 1)
-        slot = (photo * cells + index[:, 1]) * cells + index[:, 0]
-        count = np.bincount(slot)
-        sums = np.stack([np.bincount(slot, residuals[:, i]) for i in range(2)], axis=1)
-        enough = count >= 4
-        if enough.sum() < 20:
-            continue
-        energy = np.sum(sums[enough] ** 2 / count[enough, None]) / (2 * variance)
-        n_cells = int(enough.sum())
-        covered = np.bincount(photo, enough[slot]) / np.maximum(per_photo, 1)
-        expected = (n_cells - photo_unknowns / 2 * float(covered.sum())) / (1 - pose_share)
-        if expected < 10:
-            continue
-        # What chance alone reaches in one of forty blocks is no sign of correlation.
-        allowance = 2 * np.sqrt(1.0 / expected)
-        worst = max(worst, float(energy / expected) - allowance)
-    return 1 + SMOOTHER_STILL * (worst - 1)
 
 
 @dataclass(frozen=True)
@@ -141,7 +97,13 @@ def _subset(block: Calibrated, points: np.ndarray, n_photos: int) -> _Part | Non
         return None
     state = block.adjusted.state
     return _Part(
-        Adjustment(sub, n_photos, len(old), block.adjustment.priors),
+        Adjustment(
+            sub,
+            n_photos,
+            len(old),
+            block.adjustment.priors,
+            noise_factor=block.adjustment.noise_factor,
+        ),
         replace(state, points_m=state.points_m[old]),
         (block.adjusted.weights[kept], block.adjusted.position_weights),
     )
@@ -157,26 +119,19 @@ def projection_jacobian(lens: Lens) -> FloatArray:
 def estimate(block: Calibrated, tick: Callable[[], None] | None = None) -> Estimate:
     """The calibration with sigmas that take model error into account."""
     base, adjustment = block.adjusted, block.adjustment
-    obs = adjustment.obs
     state = base.state
     n_photos = len(state.rotations)
-    brown = state.lens.brown
-    factor = correlation_factor(
-        base.residuals_px,
-        base.weights,
-        obs.photo,
-        obs.pixels,
-        (brown.width, brown.height),
-        6 if adjustment.priors.shutter_sigma_m is None else 9,
-    )
+    factor = block_correlation(adjustment, base)
+    # Part of it may be in the weights, and so in the covariance, already.
+    excess = factor / adjustment.noise_factor
     fitted, jacobian = fit_brown(state.lens, keep_k4=bool(base.free[6]))
     formal = base.covariance
-    covariance_35 = formal * factor
-    sigma_f_formal = float(np.sqrt(jacobian[0] @ formal @ jacobian[0]))
+    covariance_35 = formal * excess
+    sigma_f_formal = float(np.sqrt(jacobian[0] @ formal @ jacobian[0] / adjustment.noise_factor))
 
     compare = _comparison_block(block, n_photos)
     own = compare.run(_Model("", base.free, adjustment.priors, state.lens), tick)
-    scale = own.sigma0**2 * factor
+    scale = own.sigma0**2 * excess / adjustment.noise_factor
     f_here = fit_brown(own.state.lens)[0].f_px
     models: dict[str, float] = {}
     rejected: dict[str, float] = {}
@@ -191,10 +146,10 @@ def estimate(block: Calibrated, tick: Callable[[], None] | None = None) -> Estim
             continue
         models[model.name] = fitted.f_px + f - f_here
         moved = run.state.lens.vector - own.state.lens.vector
-        moves.append(_Move(f - f_here, moved, run.covariance * factor))
+        moves.append(_Move(f - f_here, moved, run.covariance * excess))
     spread = max((abs(f - fitted.f_px) for f in models.values()), default=0.0)
     covariance_35 = _with_spread(covariance_35, moves, jacobian, state.lens)
-    split_f, split_sigma, split_ratio = _split(block, jacobian, n_photos, factor, tick)
+    split_f, split_sigma, split_ratio = _split(block, jacobian, n_photos, excess, tick)
     return Estimate(
         brown=fitted,
         covariance=jacobian @ covariance_35 @ jacobian.T,
@@ -261,7 +216,7 @@ def _with_spread(covariance: FloatArray, moves: list[_Move], jacobian: FloatArra
 
 
 def _split(
-    block: Calibrated, jacobian: FloatArray, n_photos: int, factor: float, tick: Callable[[], None] | None
+    block: Calibrated, jacobian: FloatArray, n_photos: int, excess: float, tick: Callable[[], None] | None
 ) -> tuple[float, float, float]:
     """Odd minus even: f, its sigma, and the rms projection difference over its predicted rms."""
     n_points = len(block.adjusted.state.points_m)
@@ -276,7 +231,7 @@ def _split(
         results.append(part.run(model, tick))
     first, second = results
     move = first.state.lens.vector - second.state.lens.vector
-    covariance = (first.covariance + second.covariance) * factor
+    covariance = (first.covariance + second.covariance) * excess
     mapping = projection_jacobian(block.adjusted.state.lens)
     expected = float(np.sum(np.einsum("ij,jk,ik->i", mapping, covariance, mapping)))
     found = float(np.sum((mapping @ move) ** 2))
