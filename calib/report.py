@@ -32,8 +32,11 @@ from calib.wording import (
     parameter_values,
     path_text,
     photos_given,
+    printable,
     quantity,
     rule_title,
+    unit_text,
+    with_bound_units,
 )
 
 _GROUPS = {State.FLAG: "Not in order", State.UNKNOWN: "Not known", State.PASS: "In order"}
@@ -114,11 +117,15 @@ def _sign(state: State) -> str:
     )
 
 
+def _sentence(text: str) -> str:
+    return html_text(with_bound_units(printable(text)))
+
+
 def _verdict(result: CheckResult) -> str:
     verdict = result.verdict
     return (
         f'<header class="verdict {verdict.value.lower()}"><h1>{_sign(_VERDICT_SIGNS[verdict])}'
-        f"<span>{VERDICT_WORDS[verdict]}</span></h1><p>{html_text(result.headline)}</p></header>"
+        f"<span>{VERDICT_WORDS[verdict]}</span></h1><p>{_sentence(result.headline)}</p></header>"
     )
 
 
@@ -135,7 +142,7 @@ def _facts(result: CheckResult) -> str:
         parts.append(f"{heights} m above ground")
     if metric and math.isfinite(network.gsd_m):
         parts.append(f"{100 * network.gsd_m:.1f} cm per pixel")
-    return f'<p class="facts">{html_text(" · ".join(parts))}</p>'
+    return f'<p class="facts">{_sentence(" · ".join(parts))}</p>'
 
 
 def _what_to_fly(result: CheckResult) -> str:
@@ -143,7 +150,7 @@ def _what_to_fly(result: CheckResult) -> str:
         return ""
     return (
         f'<section class="fly" aria-labelledby="fly"><h2 id="fly">What to fly</h2>'
-        f"<p>{html_text(result.what_to_fly)}</p></section>"
+        f"<p>{_sentence(result.what_to_fly)}</p></section>"
     )
 
 
@@ -158,14 +165,14 @@ def _findings(result: CheckResult) -> str:
 
 
 def _finding(finding: Finding) -> str:
-    measure = [f"<b>{html_text(finding_value(finding))}</b>"]
+    measure = [f"<b>{_sentence(finding_value(finding))}</b>"]
     if finding.threshold is not None:
-        measure.append(f"threshold {html_text(quantity(finding.threshold, None, finding.unit))}")
+        measure.append(f"threshold {_sentence(quantity(finding.threshold, None, unit_text(finding.unit)))}")
     if finding.source:
         measure.append(f"from {html_text(finding.source)}")
     return (
         f'<li class="{finding.state.value}">{_sign(finding.state)}<div>'
-        f"<h4>{html_text(rule_title(finding.rule))}</h4><p>{html_text(finding.message)}</p>"
+        f"<h4>{html_text(rule_title(finding.rule))}</h4><p>{_sentence(finding.message)}</p>"
         f'<p class="measure">{" · ".join(measure)}</p></div></li>'
     )
 
@@ -224,11 +231,11 @@ def _provenance(result: CheckResult) -> str:
     if result.reference_note:
         rows.append(("About the reference" if reference else "Reference", result.reference_note))
     if georeference.rms_xy_m is not None:
-        vertical = quantity(georeference.rms_z_m, None, "m")
+        vertical = quantity(georeference.rms_z_m, None, "m", 2)
         rows.append(
             (
                 "Geotags against the block",
-                f"{quantity(georeference.rms_xy_m, None, 'm')} horizontal, {vertical} vertical (rms)",
+                f"{quantity(georeference.rms_xy_m, None, 'm', 2)} horizontal, {vertical} vertical (rms)",
             )
         )
     if georeference.fault:
@@ -242,10 +249,10 @@ def _provenance(result: CheckResult) -> str:
         ),
         (
             "Sigma of f",
-            f"{quantity(estimate.sigma_f_px, None, 'px')}, from a formal "
-            f"{quantity(estimate.sigma_f_formal_px, None, 'px')}, correlated residuals (variance "
-            f"× {quantity(estimate.correlation_factor)}) and a spread of "
-            f"{quantity(estimate.spread_f_px, None, 'px')} over lens models",
+            f"{quantity(estimate.sigma_f_px, None, 'px', 2)}, from a formal "
+            f"{quantity(estimate.sigma_f_formal_px, None, 'px', 2)}, correlated residuals (variance "
+            f"× {quantity(estimate.correlation_factor, None, '', 2)}) and a spread of "
+            f"{quantity(estimate.spread_f_px, None, 'px', 2)} over lens models",
         ),
         ("f by lens model", _models(estimate.models)),
     ]
@@ -254,8 +261,8 @@ def _provenance(result: CheckResult) -> str:
     rows += [
         (
             "Time",
-            f"{quantity(timing.wall_s, None, 's')}, {quantity(timing.cpu_s, None, 's')} of computing, "
-            f"{quantity(timing.photos_per_s)} photos per second",
+            f"{quantity(timing.wall_s, None, 's', 2)}, {quantity(timing.cpu_s, None, 's', 2)} of computing, "
+            f"{quantity(timing.photos_per_s, None, '', 2)} photos per second",
         ),
         ("Software", f"fieldcal {metadata.version('fieldcal')}, plotly {metadata.version('plotly')}"),
     ]

@@ -61,13 +61,13 @@ def figures_section(result: CheckResult) -> str:
         (
             "Residuals on the sensor",
             f"Mean residual of each cell, drawn {stretch:g} times as long; the rms of all residuals is "
-            f"{quantity(solution.rms_px, None, 'px')}. "
+            f"{quantity(solution.rms_px, None, 'px', 2)}. "
             "Arrows that form a pattern show what the lens model misses.",
             residual_figure(solution),
         ),
         (
             "Camera network from above",
-            f"{network.nadir} photos look straight down, {network.convergent} are convergent (triangles); "
+            f"{network.nadir} photos look down, {network.convergent or 'none'} are convergent (triangles); "
             "the strokes show where the cameras look. The tie points are coloured by their height."
             + (
                 ""

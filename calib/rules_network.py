@@ -166,11 +166,8 @@ def coverage(e: Evidence) -> Finding:
     if thin:
         text = f"Tie points are thin in the {' and '.join(thin)} of the image"
         return finding(State.FLAG, f"{text} (only {100 * worst:.0f} % covered there).", 100 * worst)
-    return finding(
-        State.PASS,
-        f"Tie points cover the whole image, at least {100 * worst:.0f} % of every part.",
-        100 * worst,
-    )
+    least = "edges and corners included" if worst > 0.995 else f"at least {100 * worst:.0f} % of every part"
+    return finding(State.PASS, f"Tie points cover the whole image, {least}.", 100 * worst)
 
 
 def alignment(e: Evidence) -> Finding:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import html
 import math
 import os
+import re
 import unicodedata
 from collections.abc import Iterable
 from pathlib import Path
@@ -51,6 +52,8 @@ PARAMETERS = {
 #: Anything smaller is zero to a reader; it keeps powers of ten within the floats.
 _SMALLEST = 1e-290
 _SUPERSCRIPTS = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+_BEFORE_UNIT = re.compile(r"(?<=\d) (?=(?:%|px|cm|mm|km|m|s|degrees|sigma|photos)(?!\w))")
+NO_BREAK_SPACE = "\N{NO-BREAK SPACE}"
 
 
 def rule_title(rule: str) -> str:
@@ -66,6 +69,18 @@ def printable(text: str) -> str:
 def html_text(text: str) -> str:
     """``text`` from anywhere, safe in HTML content, in quoted attributes and in plotly's labels."""
     return html.escape(printable(text))
+
+
+def with_bound_units(text: str) -> str:
+    """``text`` with a space that does not break between every number and its unit."""
+    return _BEFORE_UNIT.sub(NO_BREAK_SPACE, text)
+
+
+def unit_text(unit: str) -> str:
+    """A finding's unit for people: px⁻² for px^-2, and the height's name for % H."""
+    if unit == "% H":
+        return "% of the height"
+    return re.sub(r"\^(-?\d+)", lambda power: power[1].translate(_SUPERSCRIPTS), unit)
 
 
 def path_text(path: Path) -> str:
@@ -104,8 +119,8 @@ def quantity(value: float | None, sigma: float | None = None, unit: str = "", di
         text = text.rstrip("0").rstrip(".")
     if shift:
         text = f"({text}) × {power_of_ten(shift)}" if known else f"{text} × {power_of_ten(shift)}"
-    if unit == "%":
-        return f"({text}) %" if known and not shift else f"{text} %"
+    if unit.startswith("%"):
+        return f"({text}) {unit}" if known and not shift else f"{text} {unit}"
     return f"{text} {unit}".strip()
 
 
@@ -114,7 +129,7 @@ def _minus(text: str) -> str:
 
 
 def finding_value(finding: Finding) -> str:
-    return quantity(finding.value, finding.sigma, finding.unit)
+    return quantity(finding.value, finding.sigma, unit_text(finding.unit))
 
 
 def ordered_findings(findings: Iterable[Finding], state: State) -> list[Finding]:

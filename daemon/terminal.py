@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 import textwrap
 from collections.abc import Sequence
 from pathlib import Path
@@ -13,6 +12,7 @@ from rich.text import Text
 from calib.findings import State, Verdict
 from calib.result import CheckResult
 from calib.wording import (
+    NO_BREAK_SPACE,
     STATE_ORDER,
     VERDICT_WORDS,
     all_left_out,
@@ -22,6 +22,7 @@ from calib.wording import (
     path_text,
     photos_given,
     printable,
+    with_bound_units,
 )
 
 _STYLES = {State.PASS: "green", State.FLAG: "bold red", State.UNKNOWN: "yellow"}
@@ -38,9 +39,6 @@ _WIDTH = 80
 _NARROW = 60
 #: Lines about photos left out, and names on each; the report lists them all.
 _REASONS, _NAMES = 5, 3
-#: A number and its unit stay on one line.
-_BOUND = re.compile(r"(?<=\d) (?=(?:%|px|cm|mm|km|m|degrees|sigma|photos)(?!\w))")
-_NO_BREAK = "\N{NO-BREAK SPACE}"
 
 
 def print_summary(
@@ -91,11 +89,11 @@ def print_summary(
 
 def _wrapped(text: str, width: int, first: str = "", others: str = "") -> list[str]:
     """Lines of at most ``width`` columns that start with ``first``, and then with ``others``."""
-    bound = _BOUND.sub(_NO_BREAK, printable(text))
+    bound = with_bound_units(printable(text))
     lines = textwrap.wrap(
         bound, width, initial_indent=first, subsequent_indent=others, break_on_hyphens=False
     )
-    return [line.replace(_NO_BREAK, " ") for line in lines] or [first]
+    return [line.replace(NO_BREAK_SPACE, " ") for line in lines] or [first]
 
 
 def _left_out(result: CheckResult) -> list[str]:

@@ -36,7 +36,7 @@ class Scene:
         direction = np.einsum("nji,nj->ni", rotations, direction)
         height = np.zeros(len(rays))
         for _ in range(40):  # gentle slopes: each round gains a digit
-            points = centres + direction * ((height - centres[:, 2]) / direction[:, 2])[:, None]
+            points: FloatArray = centres + direction * ((height - centres[:, 2]) / direction[:, 2])[:, None]
             height = relief.height_m(points[:, 0], points[:, 1])
         return points
 

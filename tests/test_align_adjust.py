@@ -23,6 +23,7 @@ from scipy.stats import chi2
 
 from calib.align.adjust import (
     Adjustment,
+    BoolArray,
     State,
     Topology,
     ray_angle_deg,
@@ -117,7 +118,7 @@ def test_similarity_tangent_is_the_derivative_of_a_similarity() -> None:
 
 
 def brute_force(
-    block: SimBlock, adjustment: Adjustment, state: State, free: FloatArray
+    block: SimBlock, adjustment: Adjustment, state: State, free: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
     """Covariance of the free lens parameters, and d points / d lens, from the whole normal matrix.
 
@@ -145,7 +146,7 @@ def brute_force(
         )
         known = np.isfinite(priors.lens_sigma)
         lens = (priors.lens_mean - lens_vector)[known] / priors.lens_sigma[known]
-        shutter = np.zeros(0) if way is None else way.ravel() / priors.shutter_sigma_m
+        shutter = np.zeros(0) if way is None else way.ravel() / (priors.shutter_sigma_m or 1.0)
         return np.concatenate([image.ravel(), position.ravel(), attitude.ravel(), lens, shutter])
 
     columns = []
@@ -276,7 +277,7 @@ def test_chi_square_is_what_noise_gives() -> None:
         total += result.chi2
         # The field is held: its prior counts nothing.
         redundancy += result.redundancy
-    low, high = chi2.ppf([0.0005, 0.9995], redundancy)
+    low, high = (float(chi2.ppf(p, redundancy)) for p in (0.0005, 0.9995))
     assert low < total < high
 
 

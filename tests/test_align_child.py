@@ -104,7 +104,7 @@ def test_time_limit(site: Site) -> None:
     assert running() == []
 
 
-@pytest.mark.parametrize("limit_mb", [150, 650])
+@pytest.mark.parametrize("limit_mb", [150, 500])
 def test_memory_limit(site: Site, limit_mb: int) -> None:
     job = replace(job_of(site), memory_limit_bytes=limit_mb * 1_000_000)
     with pytest.raises(AlignmentError, match="short of memory"):

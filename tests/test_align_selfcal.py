@@ -44,7 +44,7 @@ def patterned() -> list[tuple[SimBlock, Calibrated]]:
 def test_errors_are_as_large_as_their_sigmas(campaign: list[tuple[SimBlock, Calibrated]]) -> None:
     errors = np.array([np.divide(*brown_errors(block, found)) for block, found in campaign])
     assert np.abs(errors).max() < 3
-    low, high = chi2.ppf([0.001, 0.999], len(errors))
+    low, high = (float(chi2.ppf(p, len(errors))) for p in (0.001, 0.999))
     for index, name in enumerate(CHECKED):
         total = float(np.sum(errors[:, index] ** 2))
         # The field is free within 0.5 px a coefficient, and here there is none to be found: the
@@ -63,7 +63,8 @@ def test_focal_length_is_found_to_a_tenth_of_a_percent(campaign: list[tuple[SimB
 
 def test_lens_that_is_not_browns_is_found(patterned: list[tuple[SimBlock, Calibrated]]) -> None:
     """What Brown's parameters and a turn of the camera cannot do of the true mapping."""
-    left, there = [], []
+    left: list[float] = []
+    there: list[float] = []
     for block, calibrated in patterned:
         camera = block.lens.brown
         pixels = pixel_grid(camera.width, camera.height, 24, 18)

@@ -234,7 +234,7 @@ def correlation_figure(covariance: FloatArray) -> go.Figure | None:
         colorscale=[[0, "#2166ac"], [0.5, "#ffffff"], [1, "#b2182b"]],
         text=[[_short(v) for v in row] for row in matrix],
         texttemplate="%{text}",
-        textfont={"size": 12},
+        textfont={"size": 12 if len(names) < 10 else 10},
         showscale=False,
         xgap=1,
         ygap=1,
