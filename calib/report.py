@@ -32,7 +32,6 @@ from calib.wording import (
     parameter_values,
     path_text,
     photos_given,
-    printable,
     quantity,
     rule_title,
     unit_text,
@@ -118,7 +117,7 @@ def _sign(state: State) -> str:
 
 
 def _sentence(text: str) -> str:
-    return html_text(with_bound_units(printable(text)))
+    return with_bound_units(html_text(text))
 
 
 def _verdict(result: CheckResult) -> str:
@@ -169,7 +168,7 @@ def _finding(finding: Finding) -> str:
     if finding.threshold is not None:
         measure.append(f"threshold {_sentence(quantity(finding.threshold, None, unit_text(finding.unit)))}")
     if finding.source:
-        measure.append(f"from {html_text(finding.source)}")
+        measure.append(f"from {_sentence(finding.source)}")
     return (
         f'<li class="{finding.state.value}">{_sign(finding.state)}<div>'
         f"<h4>{html_text(rule_title(finding.rule))}</h4><p>{_sentence(finding.message)}</p>"

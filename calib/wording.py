@@ -129,7 +129,7 @@ def _minus(text: str) -> str:
 
 
 def finding_value(finding: Finding) -> str:
-    return quantity(finding.value, finding.sigma, unit_text(finding.unit))
+    return quantity(finding.value, finding.sigma, unit_text(finding.unit), 3)
 
 
 def ordered_findings(findings: Iterable[Finding], state: State) -> list[Finding]:

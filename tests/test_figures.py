@@ -15,7 +15,7 @@ from calib.figures import (
     residual_figure,
 )
 from calib.figures.sensor import ARROW_CELLS, mean_residuals, residual_exaggeration
-from calib.figures.site import MOST_POINTS
+from calib.figures.site import MOST_POINTS, relative_unit
 from calib.findings import Verdict
 from calib.propagation import radial_px, radial_px_covariance
 from calib.result import CheckResult
@@ -148,3 +148,21 @@ def test_verdicts_share_the_figures() -> None:
     for verdict in Verdict:
         other = result_factory.build(verdict, points=200)
         assert equifinal_figure(other.estimate, other.reference, other.line) is not None
+
+
+def test_without_a_scale_the_site_is_drawn_in_flying_heights(result: CheckResult) -> None:
+    unit = relative_unit(60.0)
+    metres = camera_network_figure(result.solution, result.network)
+    relative = camera_network_figure(result.solution, result.network, unit)
+    assert metres.layout.xaxis.title.text == "east (m)"
+    assert relative.layout.xaxis.title.text == "across (flying heights)"
+    for axis in "xy":
+        before, after = (np.asarray(_trace(f, "convergent photos")[axis], float) for f in (metres, relative))
+        assert np.ptp(after) == pytest.approx(np.ptp(before) / 60, rel=1e-5)
+    assert abs(float(np.median(np.asarray(relative.data[0].marker.color, float)))) < 0.01
+    dome = dome_figure(result.dome, unit)
+    assert dome is not None
+    # 9.2 cm over 60 m are 0.153 %; the map shows half of it in the middle.
+    assert np.nanmax(np.abs(np.asarray(dome.data[0].z, float))) == pytest.approx(
+        100 * np.nanmax(np.abs(result.dome.grid_difference_m)) / 60, rel=1e-5
+    )

@@ -38,7 +38,7 @@ class _Outline(HTMLParser):
 
     @property
     def text(self) -> str:
-        return " ".join(self.words)
+        return " ".join(self.words).replace("\N{NO-BREAK SPACE}", " ")
 
 
 @pytest.fixture(scope="module")
@@ -154,3 +154,20 @@ def test_unknown_numbers_are_said_to_be_unknown(reference: bool) -> None:
 def test_a_result_with_little_in_it_still_renders() -> None:
     base = result_factory.build(Verdict.CANNOT_TELL, reference=False, convergent=0, points=200)
     assert "CANNOT TELL" in render_report(replace(base, findings=(), left_out=(), what_to_fly=None))
+
+
+def test_nothing_is_in_metres_where_the_geotags_set_no_scale() -> None:
+    page = render_report(result_factory.build(gps=False, points=300))
+    text = _Outline(page[page.index("<main>") :]).text
+    assert not re.search(r"m above ground|cm per pixel|in metres", text)
+    assert "% of the flying height" in text
+    assert "lengths are in flying heights" in text
+    known = render_report(result_factory.build(points=300))
+    assert "60 m above ground" in _Outline(known).text
+
+
+def test_numbers_and_units_stay_together(page: str) -> None:
+    body = page[page.index("<main>") : page.index('id="figures"')]
+    assert "\N{NO-BREAK SPACE}%" in body
+    assert not re.search(r"\d %", body)
+    assert "px^" not in body

@@ -103,3 +103,16 @@ def test_what_is_not_finite_is_null() -> None:
     assert set(data["calibration"]["sigma"].values()) == {None}
     assert data["calibration"]["correlation"] == {}
     assert data["timing"] == {"wall_s": None, "cpu_s": 0.0, "photos_per_s": None}
+
+
+def test_no_lengths_without_a_scale() -> None:
+    """Without believed geotags only proportions mean anything."""
+    known = report_dict(result_factory.build(points=300))
+    assert known["network"]["heights_agl_m"] == [60.0]
+    assert known["dome"]["amplitude_m"] == pytest.approx(0.092)
+    blind = report_dict(result_factory.build(gps=False, points=300))
+    assert blind["network"]["heights_agl_m"] == []
+    assert blind["network"]["gsd_m"] is None
+    assert blind["dome"]["amplitude_m"] is None
+    assert blind["dome"]["sigma_m"] is None
+    assert blind["dome"]["amplitude_percent"] == known["dome"]["amplitude_percent"]

@@ -7,7 +7,15 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from calib.photos.photo import CameraIdentity
-from calib.wording import camera_name, html_text, path_text, printable, quantity
+from calib.wording import (
+    camera_name,
+    html_text,
+    path_text,
+    printable,
+    quantity,
+    unit_text,
+    with_bound_units,
+)
 
 
 @pytest.mark.parametrize(
@@ -60,3 +68,15 @@ def test_text_from_files_is_tamed() -> None:
 
 def test_paths_that_are_no_utf8_can_be_written() -> None:
     path_text(Path("DCIM/\udcff.JPG")).encode("utf-8")
+
+
+def test_units_for_people() -> None:
+    assert unit_text("px^-4") == "px⁻⁴"
+    assert unit_text("% H") == "% of the height"
+    assert unit_text("px") == "px"
+    assert quantity(0.214, 0.024, unit_text("% H")) == "(0.214 ± 0.024) % of the height"
+
+
+def test_units_are_bound_to_their_numbers_only() -> None:
+    space = "\N{NO-BREAK SPACE}"
+    assert with_bound_units("known to 0.1 % at 60 m, 3 more") == f"known to 0.1{space}% at 60{space}m, 3 more"

@@ -49,7 +49,9 @@ def relative_unit(flying_height_m: float) -> Unit:
 
 def camera_network_figure(solution: Solution, network: Network, unit: Unit = METRES) -> go.Figure:
     """Stations with their viewing directions over the sparse points, seen from above, equal axes."""
-    points = _thinned(solution.points_m) / unit.size_m
+    # Metric coordinates are those of the exports; others have no origin of their own.
+    origin = np.zeros(3) if unit is METRES else np.median(solution.points_m, axis=0)
+    points = (_thinned(solution.points_m) - origin) / unit.size_m
     figure = go.Figure()
     if len(points):
         low, high = np.percentile(points[:, 2], [2, 98])
@@ -63,13 +65,13 @@ def camera_network_figure(solution: Solution, network: Network, unit: Unit = MET
                 "colorscale": "Viridis",
                 "cmin": float(low),
                 "cmax": float(high),
-                "colorbar": BELOW | {"ticksuffix": f" {unit.short}"},
+                "colorbar": BELOW | {"ticksuffix": f" {unit.short}", "nticks": 5, "tickangle": 0},
             },
             hovertemplate=f"%{{marker.color:.3~g}} {unit.short}<extra></extra>",
             showlegend=False,
             name="points",
         )
-    centres = solution.centres_m / unit.size_m
+    centres = (solution.centres_m - origin) / unit.size_m
     forward = solution.rotations_cam_from_world[:, 2, :]
     extent = float(np.ptp(centres[:, :2], axis=0).max(initial=1.0))
     tips = centres[:, :2] + 0.25 * extent * forward[:, :2]
