@@ -60,13 +60,14 @@ def check(
         check_saving(save_reference_as)
     if reference is not None:
         load_reference(reference)
-    if json_to is not None and json_to != "-":
-        check_file_writable(Path(json_to))
     hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
     with _progress(hidden) as report:
         found = read_set(photos, report)
         require_block(found)
         with output_folder(out):
+            # The file may be meant for the output folder, which is there only from here on.
+            if json_to is not None and json_to != "-":
+                check_file_writable(Path(json_to))
             result = check_photos(found, Options(reference), report)
             result = replace(result, what_to_fly=what_to_fly(result))
             result = replace(result, exports=write_outputs(result, out))

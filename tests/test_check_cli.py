@@ -217,12 +217,12 @@ def test_straight_down_only_is_refly_and_nothing_is_saved(home: Path, small: Sur
         "--save-reference",
         "weak",
         "--json",
-        "r.json",
+        "o/r.json",  # a folder that the check itself makes
         "--out",
         "o",
     )
     assert ran.code == 3
-    report = json.loads((home / "r.json").read_text())
+    report = json.loads((home / "o/r.json").read_text())
     assert report == report_of(home, "o")
     assert report["verdict"] == "REFLY"
     assert findings(report)["convergent-share"]["state"] == "flag"
