@@ -41,9 +41,10 @@ def candidate_pairs(
         for j in known[np.argsort(distance)[: NEIGHBOURS + 1]].tolist():
             want(index[i], index[j])
     # Geotags that are missing or wrong are made up for by looks.
+    located = set(known.tolist())
     likeness = appearance([features[i] for i in index])
     for i in range(n):
-        count = NEIGHBOURS if i not in set(known.tolist()) else 4
+        count = NEIGHBOURS if i not in located else 4
         for j in np.argsort(-likeness[i])[:count].tolist():
             want(index[i], index[j])
     return sorted(wanted)

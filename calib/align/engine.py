@@ -256,10 +256,11 @@ class Aligner:
     ) -> Solution:
         adjusted = calibrated.adjusted
         left = list(self._unreadable)
+        aligned = set(index.tolist())
         for i, photo in enumerate(self._photos):
             if blurry[i]:
                 left.append(LeftOut(photo.path, "blurred"))
-            elif i not in set(index.tolist()):
+            elif i not in aligned:
                 left.append(
                     LeftOut(photo.path, "could not be joined to the block (too little overlap or texture)")
                 )
