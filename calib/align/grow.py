@@ -41,7 +41,8 @@ def free_network_priors(k: int, lens: Lens, extent: float, centres: FloatArray) 
     """Priors that only hold the gauge: every position within many times its own spread."""
     spread = np.full((k, 3), 30.0 * extent)
     lens_sigma = np.full(len(LENS_NAMES), np.inf)
-    lens_sigma[0] = 0.2 * lens.brown.f_px
+    # A nadir block would let f wander along its valley, a little farther with every photo.
+    lens_sigma[0] = 0.05 * lens.brown.f_px
     lens_sigma[3:6] = 0.3
     return Priors(centres, spread, np.tile(np.eye(3), (k, 1, 1)), np.full(k, np.inf), lens.vector, lens_sigma)
 
