@@ -12,18 +12,16 @@ import argparse
 import json
 import os
 import platform
-import shutil
-import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 
+from benchmarks import colmap_command
+from benchmarks.cost import Cost, measure
 from calib.align.adjust import State
 from calib.align.engine import Aligner
 from calib.align.grow import free_network_priors
@@ -36,30 +34,6 @@ from calib.photos import collect, read_photos
 from calib.solution import Observations
 
 HERE = Path(__file__).parent
-
-
-@dataclass(frozen=True)
-class Cost:
-    """What a whole process and its children took."""
-
-    cpu_s: float
-    wall_s: float
-    peak_mb: float
-    code: int
-
-
-def measure(command: Sequence[str], env: dict[str, str] | None = None) -> Cost:
-    """Run ``command`` with its output thrown away."""
-    started = time.monotonic()
-    with tempfile.TemporaryFile() as sink:
-        process = subprocess.Popen(command, stdout=sink, stderr=sink, env=env)
-        _, status, usage = os.wait4(process.pid, 0)
-    return Cost(
-        usage.ru_utime + usage.ru_stime,
-        time.monotonic() - started,
-        usage.ru_maxrss / 1024,
-        os.waitstatus_to_exitcode(status),
-    )
 
 
 def fieldcal(photos: Path, work: Path) -> tuple[Cost, dict[str, Any]]:
@@ -110,6 +84,7 @@ class Comparison:
     peer_f_px: float | None = None
     peer_rms_px: float | None = None
     peer_sigma_percent: float | None = None
+    command: tuple[Cost, int, float | None] | None = None
 
 
 def compare(photos: Path) -> Comparison:
@@ -128,6 +103,7 @@ def compare(photos: Path) -> Comparison:
             f_px=report["calibration"]["f_px"],
             sigma_f_px=report["calibration"]["sigma"]["f_px"],
             peer_aligned=0,
+            command=colmap_command.run(photos, work) if colmap_command.installed() else None,
         )
         if theirs.code != 0:
             return row
@@ -168,6 +144,7 @@ def main() -> None:
     data = os.environ.get("FIELDCAL_DATA")
     if not data:
         sys.exit("FIELDCAL_DATA does not name the folder of real photo sets; nothing to compare on.")
+    commands: list[str] = []
     names = given.sets or sorted(p.name for p in Path(data).iterdir() if p.is_dir())
     lines = [
         "# fieldcal check beside pycolmap's default pipeline",
@@ -193,12 +170,20 @@ def main() -> None:
             f"| {_shown(row.peer_f_px, 1)} ({_shown(row.peer_rms_px, 2)}) "
             f"| {row.f_px:.1f} ± {row.sigma_f_px:.1f} |"
         )
+        if row.command is not None:
+            cost, aligned, f_px = row.command
+            commands.append(
+                f"| {name} | {cost.cpu_s:.0f} | {cost.cpu_s / row.ours.cpu_s:.1f} | {cost.wall_s:.0f} "
+                f"| {cost.peak_mb:.0f} | {aligned} | {_shown(f_px, 1)} |"
+            )
         given.out.write_text("\n".join(lines) + "\n")
-    command = shutil.which("colmap")
-    lines += [
-        "",
-        "The COLMAP command is not installed." if command is None else f"COLMAP command: {command}.",
-    ]
+    lines += ["", "## The COLMAP command of the system", ""]
+    if commands:
+        lines += ["Default options, no graphics processor, pairs by position, OPENCV camera.", ""]
+        lines += ["| set | CPU s | ratio to fieldcal | wall s | peak MB | aligned | f px |"]
+        lines += ["|---|---|---|---|---|---|---|", *commands]
+    else:
+        lines.append("Not installed where this was made.")
     given.out.write_text("\n".join(lines) + "\n")
 
 

@@ -91,10 +91,11 @@ def _trusted(e: Evidence) -> str:
 
 
 def _unconfirmed(e: Evidence) -> str:
+    note = f" {e.reference_note}" if e.reference_note else ""
     return (
         f"The photos alone speak for this calibration (the focal length is known to "
-        f"{percent(100 * e.sigma_f_px / e.f_px)}), but there is no reference to hold it against; keep it as "
-        "one with --save-reference."
+        f"{percent(100 * e.sigma_f_px / e.f_px)}), but no reference confirms it.{note} "
+        "Keep it as one with --save-reference."
     )
 
 

@@ -84,7 +84,7 @@ def focal_sigma(e: Evidence) -> Finding:
 
 
 def cross_validation(e: Evidence) -> Finding:
-    source = "odd against even photos, as mrcal does"
+    source = "two halves of the tie points, as mrcal does"
 
     def finding(state: State, message: str, value: float | None) -> Finding:
         return Finding("cross-validation", state, value, 1.0, "sigma", SPLIT_LIMIT, source, message)
@@ -101,10 +101,10 @@ def cross_validation(e: Evidence) -> Finding:
             "sigma",
             SPLIT_LIMIT,
             source,
-            "The two halves of the photos could not be calibrated separately.",
+            "The two halves of the tie points could not be calibrated separately.",
         )
     worst = max(ratios)
-    text = f"Calibrated from the odd and from the even photos, the results differ by {worst:.1f} sigma"
+    text = f"Calibrated from each half of the tie points, f and profile differ by {worst:.1f} sigma"
     if e.split_f_px is not None:
         text += f" ({percent(100 * abs(e.split_f_px) / e.f_px)} of the focal length)"
     if worst <= SPLIT_LIMIT:

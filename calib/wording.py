@@ -24,7 +24,7 @@ RULE_TITLES = {
     "convergent-share": "Share of convergent photos",
     "predicted-dome": "Predicted dome or dish",
     "focal-sigma": "How well the focal length is known",
-    "cross-validation": "Two halves of the photos agree",
+    "cross-validation": "Two halves of the tie points agree",
     "model-sensitivity": "Different lens models agree",
     "coverage": "Tie points cover the sensor",
     "alignment": "Alignment of the photos",

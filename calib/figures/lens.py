@@ -9,6 +9,8 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
+from calib.equifinal import Radial, image_radius_px
+from calib.evidence import reference_on_line
 from calib.figures.style import (
     BAND,
     FLIGHT,
@@ -36,16 +38,20 @@ def equifinal_figure(
     """
     here = np.array([estimate.brown.k1_px, estimate.brown.k2_px])
     ellipse = error_ellipse(here, radial_px_covariance(estimate.brown, estimate.covariance)[:2, :2])
-    brown = None if reference is None else reference.brown
-    if line is None and brown is None and ellipse is None:
+    there = None
+    if reference is not None and reference.brown is not None:
+        # At the K3 of this flight: the line between them is one for that K3.
+        survey, radius_px = Radial.of(estimate.brown), image_radius_px(estimate.brown)
+        there = np.array(reference_on_line(Radial.of(reference.brown), survey, radius_px))
+    if line is None and there is None and ellipse is None:
         return None
-    anchor = np.abs(here if brown is None else np.array([brown.k1_px, brown.k2_px]))
+    anchor = np.abs(here if there is None else there)
     exponents = [math.floor(math.log10(v)) if v > 0 else 0 for v in anchor]
     scale = 10.0 ** np.array(exponents)
 
     corners = [here]
-    if brown is not None:
-        corners.append(np.array([brown.k1_px, brown.k2_px]))
+    if there is not None:
+        corners.append(there)
     if line is not None:
         corners += [np.array([line.k1_min, line.k2_min]), np.array([line.k1_max, line.k2_max])]
     if ellipse is not None:
@@ -70,10 +76,10 @@ def equifinal_figure(
             name="95 % of this flight",
             hoverinfo="skip",
         )
-    if brown is not None:
+    if there is not None:
         figure.add_scatter(
-            x=[brown.k1_px / scale[0]],
-            y=[brown.k2_px / scale[1]],
+            x=[there[0] / scale[0]],
+            y=[there[1] / scale[1]],
             mode="markers",
             marker={
                 "symbol": "diamond",
