@@ -57,7 +57,8 @@ def check_photos(photos: Sorted, options: Options, progress: Progress) -> CheckR
     started, cpu = time.monotonic(), _cpu_s()
     reference, note = choose_reference(photos.used[0], options.reference)
     lens = None if reference is None else reference.lens
-    outcome = run_job(Job(photos.used, lens, options.settings), progress)
+    covariance = None if reference is None else reference.lens_covariance
+    outcome = run_job(Job(photos.used, lens, options.settings, reference_covariance=covariance), progress)
     wall = time.monotonic() - started
     timing = Timing(wall, _cpu_s() - cpu, len(photos.used) / max(wall, 1e-9))
     return conclude(outcome, photos.left_out, reference, note, timing)

@@ -24,9 +24,7 @@ NADIR_DEG = 10.0
 #: to be trusted on its own word, without a reference.
 FOCAL_SIGMA_PERCENT = FOCAL_LIMIT_PERCENT / Z95
 FOCAL_SIGMA_ALONE_PERCENT = 0.03
-#: However many convergent photos there are, a larger sigma of f means that more are needed.
-FOCAL_SIGMA_HOPELESS_PERCENT = 0.5
-#: Odd against even photos, in sigmas of their difference; 3 and not 1.96 because the largest
+#: Half of the tie points against the other, in sigmas of their difference; 3 and not 1.96 because the largest
 #: of many differences is looked at.
 SPLIT_LIMIT = 3.0
 #: Least share of covered sensor cells in the middle, along the edges and in the corners.

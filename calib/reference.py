@@ -4,8 +4,10 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from calib.camera import BrownCamera, FloatArray
-from calib.field import Lens
+from calib.field import LENS_NAMES, Lens
 from calib.photos.photo import Processing
 
 
@@ -92,3 +94,10 @@ class Reference:
         if self.brown is None:
             return None
         return Lens(self.brown) if self.field_px is None else Lens(self.brown, self.field_px)
+
+    @property
+    def lens_covariance(self) -> FloatArray:
+        """(35, 35) of the total mapping; where only sigmas are known, as if they were independent."""
+        if self.covariance is not None:
+            return self.covariance
+        return np.diag([self.sigma.get(name, 0.0) ** 2 for name in LENS_NAMES])

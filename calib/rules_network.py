@@ -13,7 +13,6 @@ from calib.limits import (
     COVERAGE_LIMIT_PERCENT,
     FOCAL_LIMIT_PERCENT,
     FOCAL_SIGMA_ALONE_PERCENT,
-    FOCAL_SIGMA_HOPELESS_PERCENT,
     FOCAL_SIGMA_PERCENT,
     RMS_LIMIT_PX,
     SECOND_COMPONENT_PERCENT,
@@ -70,9 +69,7 @@ def focal_sigma(e: Evidence) -> Finding:
     known = f"known to {percent(sigma)} (1 sigma)"
     if sigma <= limit:
         return finding(State.PASS, f"The focal length is {known}: enough to hold it to 0.1 %.")
-    share = e.convergent_share
-    weak = share is None or 100 * share < CONVERGENT_LIMIT_PERCENT
-    if sigma > FOCAL_SIGMA_HOPELESS_PERCENT or (sigma > FOCAL_LIMIT_PERCENT and weak):
+    if sigma > FOCAL_LIMIT_PERCENT:
         return finding(
             State.FLAG,
             f"{missing_geometry(e)}, so the focal length cannot be determined: it is {known}, "

@@ -198,7 +198,7 @@ def test_findings_and_thresholds() -> None:
     assert f"saved only if f is known to {REFERENCE_SIGMA_PERCENT:g} %" in text
     assert f"residual over {limits.RMS_LIMIT_PX:g} px" in text
     assert f"second block of {limits.SECOND_COMPONENT_PERCENT:g} %" in text
-    assert f"Flagged above {limits.FOCAL_SIGMA_HOPELESS_PERCENT:g} %" in text
+    assert f"Flagged above {limits.FOCAL_LIMIT_PERCENT:g} %" in text
     assert f"{limits.FOCAL_SIGMA_ALONE_PERCENT:g} %" in text
 
 

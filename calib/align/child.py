@@ -20,6 +20,7 @@ from calib.align.dome import predict_dome
 from calib.align.engine import Aligner, Progress, Settings
 from calib.align.network import measure_network
 from calib.align.uncertainty import estimate
+from calib.camera import FloatArray
 from calib.errors import AlignmentError, FieldcalError
 from calib.field import Lens
 from calib.photos.photo import Photo
@@ -31,13 +32,17 @@ _SINGLE_THREADED = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MK
 
 @dataclass(frozen=True)
 class Job:
-    """What the child is to do. ``reference``: the total mapping to hold the dome against."""
+    """What the child is to do.
+
+    ``reference``: the total mapping to hold the dome against, with its covariance (35, 35).
+    """
 
     photos: tuple[Photo, ...]
     reference: Lens | None
     settings: Settings = field(default_factory=Settings)
     time_limit_s: float = 3600.0
     memory_limit_bytes: int | None = None
+    reference_covariance: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -73,7 +78,9 @@ def work(job: Job, progress: Progress) -> Outcome:
         honest.brown.f_px,
     )
     height = float(np.median(network.height_agl_m))
-    dome = predict_dome(aligned.calibrated, honest.lens_covariance, job.reference, height, tick)
+    dome = predict_dome(
+        aligned.calibrated, honest.lens_covariance, job.reference, height, tick, job.reference_covariance
+    )
     return Outcome(solution, honest, network, dome)
 
 

@@ -61,11 +61,12 @@ def predict_dome(
     reference: Lens | None,
     flying_height_m: float,
     tick: Callable[[], None] | None = None,
+    reference_covariance: FloatArray | None = None,
 ) -> Dome:
     """Dome of the free solution against the solution held at ``reference``, with sigma.
 
-    Sigma is what the inflated lens covariance leaves open, carried to the points with poses and
-    points re-adjusted around the lens.
+    Sigma is what the inflated lens covariance (35, 35) leaves open, carried to the points with
+    poses and points re-adjusted around the lens, and likewise what the reference's own leaves open.
     """
     adjusted = block.adjusted
     points = adjusted.state.points_m
@@ -74,6 +75,8 @@ def predict_dome(
     heights = _tangent_rest(points, adjusted.point_response)
     gain = np.zeros(len(LENS_NAMES))
     gain[adjusted.free] = dome_amplitude_m(points, heights)
+    if reference is not None and reference_covariance is not None:
+        lens_covariance = lens_covariance + reference_covariance
     sigma = float(np.sqrt(max(float(gain @ lens_covariance @ gain), 0.0)))
     radius = site_radius_m(points)
     if reference is None:

@@ -38,6 +38,8 @@ LEAST_ANGLE_DEG = 2.0
 #: 30 ms at 60 m), and the significance at which a rolling shutter is believed.
 SHUTTER_WAY = 0.004
 SHUTTER_P = 1e-3
+#: Rounds in which measured positions that contradict the block lose weight.
+POSITION_ROUNDS = 5
 BASIC = ("f", "cx", "cy", "k1", "k2")
 NB = len(BROWN_NAMES)
 
@@ -143,6 +145,8 @@ def calibrate(
         keep &= adjustment.depths(state) > 0
         keep &= (ray_angle_deg(state.centres_m, state.points_m, obs) > LEAST_ANGLE_DEG)[obs.point]
         obs, obs_index, state, point_index = _kept(obs, obs_index, keep, sigma, state, point_index, k)
+        if step > 0:
+            priors, state = _honest_positions(obs, state, priors, mask(names), tick)
     names = tuple(n for n in steps[-1] if n in _significant(result))
     adjustment = Adjustment(obs, k, len(state.points_m), priors)
     result = adjustment.run(state, mask(names, field=True), decrement=0.1, tick=tick)
@@ -157,6 +161,32 @@ def calibrate(
     adjustment = _with_shutter(adjustment, result, tick)
     result = adjustment.run(result.state, result.free, reweightings=1, response=True, tick=tick)
     return Calibrated(adjustment, result, point_index, obs_index)
+
+
+def _honest_positions(
+    obs: Observations,
+    state: State,
+    priors: Priors,
+    free: np.ndarray,
+    tick: Callable[[], None] | None,
+) -> tuple[Priors, State]:
+    """Positions weigh no more than their misfit to the block allows (late or offset RTK fixes).
+
+    The block bends towards positions that are believed, so the factor is found in rounds.
+    """
+    k, m = len(state.centres_m), len(state.points_m)
+    for _ in range(POSITION_ROUNDS):
+        adjustment = Adjustment(obs, k, m, priors)
+        state = adjustment.run(state, free, max_iterations=25, decrement=0.1, tick=tick).state
+        known = np.isfinite(priors.centre_sigma_m).all(axis=1)
+        if 3 * known.sum() <= 7:
+            break
+        misfit = ((priors.centres_m - state.centres_m) / priors.centre_sigma_m)[known]
+        factor = float(np.sqrt(np.sum(misfit**2) / (3 * len(misfit) - 7)))
+        if factor < 1.2:
+            break
+        priors = replace(priors, centre_sigma_m=priors.centre_sigma_m * factor)
+    return priors, state
 
 
 def block_correlation(adjustment: Adjustment, result: Adjusted) -> float:
@@ -180,7 +210,9 @@ def _with_shutter(adjustment: Adjustment, result: Adjusted, tick: Callable[[], N
     moving = adjustment.with_priors(replace(adjustment.priors, shutter_sigma_m=way))
     weights = (result.weights, result.position_weights)
     trial = moving.run(state, result.free, 20, decrement=1.0, weights=weights, tick=tick)
-    gain = (result.chi2 - trial.chi2) / result.sigma0**2 * adjustment.noise_factor
+    # Correlated noise gives way to any smooth motion; what stays correlated afterwards is not the shutter's.
+    noise = trial.sigma0**2 / adjustment.noise_factor * block_correlation(moving, trial)
+    gain = (result.chi2 - trial.chi2) / noise
     unknowns = 3 * len(state.rotations)
     return moving if float(chdtrc(unknowns, max(gain, 0.0))) < SHUTTER_P else adjustment
 

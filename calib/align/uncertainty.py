@@ -27,6 +27,8 @@ NB = len(BROWN_NAMES)
 COMPARE_ON = 25_000
 #: A model whose chi-square is worse with less probability than this is not defensible.
 DEFENSIBLE_P = 1e-3
+#: A move of an estimate that exceeds this many of its expected sigmas is model error, not chance.
+CHANCE = 3.0
 
 
 @dataclass(frozen=True)
@@ -190,8 +192,9 @@ def _with_spread(covariance: FloatArray, moves: list[_Move], jacobian: FloatArra
     """Add each model's move where it exceeds what chance explains, the largest first.
 
     Between nested models noise alone moves an estimate by the root of the difference of their
-    variances (Hausman 1978). A move within sigma, or within twice that, is no sign of model error;
-    beyond it the whole excess over sigma is. Looked for in f and in the total mapping.
+    variances (Hausman 1978). A move within sigma, or within three times that root, is no sign of
+    model error (of seven models one exceeds twice the root by chance every fifth time); beyond it
+    the whole excess over sigma is. Looked for in f and in the total mapping.
     """
     mapping = projection_jacobian(lens)
 
@@ -208,7 +211,7 @@ def _with_spread(covariance: FloatArray, moves: list[_Move], jacobian: FloatArra
         sizes = (move.df_px**2, float(np.sum((mapping @ move.lens) ** 2)))
         excess = 0.0
         for size, before, other, current in zip(sizes, formal, own, now, strict=True):
-            if size > max(current, 4 * abs(other - before)):
+            if size > max(current, CHANCE**2 * abs(other - before)):
                 excess = max(excess, 1 - current / size)
         if excess > 0:
             covariance = covariance + excess * np.outer(move.lens, move.lens)
