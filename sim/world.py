@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib.camera import FloatArray
-from sim.relief import Relief
+from sim.relief import HeightField, Relief
 
 ByteImage = NDArray[np.uint8]
 _Image32 = NDArray[np.float32]
@@ -26,13 +26,17 @@ class World:
     The raster reaches ``half_m`` east, west, north and south; beyond it the texture is mirrored.
     """
 
-    relief: Relief
+    relief: HeightField
     pyramid: tuple[ByteImage, ...]
     texel_m: float
 
     @property
     def half_m(self) -> float:
         return 0.5 * self.texel_m * len(self.pyramid[0])
+
+    def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """Height of the ground at positions of any (equal) shape."""
+        return self.relief.height_m(np.asarray(east_m, float), np.asarray(north_m, float))
 
     def points_m(self, east_north_m: FloatArray) -> FloatArray:
         """Ground points (n, 3) at positions (n, 2)."""
