@@ -12,7 +12,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from calib.camera import FloatArray
 from calib.photos.photo import GimbalAngles
-from sim.world import ByteImage
+from sim.texture import ByteImage
 
 
 @dataclass(frozen=True)
