@@ -12,6 +12,8 @@ from sim.relief import HeightField
 
 #: Ground farther away than this (m) is not seen: haze.
 FARTHEST_M = 6000.0
+#: Ground farther away than this (m), seen at less than 14 degrees, is interpolated whatever it is.
+_EXACT_M = 500.0
 _ITERATIONS = 160
 _CLOSE = 2e-5  # gap per distance at which the search hands over to Newton's method
 
@@ -167,6 +169,9 @@ def ground_map(
     care[error_px > tolerance_px] = 1
     care[(error_px > 20) | any_corner(grazing) | (any_corner(hits) & any_corner(~hits))] = 2
     care[~any_corner(hits) & ~any_corner(grazing)] = 0
+    # Far away at grazing incidence single bumps would take most of the time and are not seen.
+    near = inverse > 1 / _EXACT_M
+    care[~any_corner(near) & (flat > 4 * np.abs(towards[..., 2]))] = 0
     return GroundMap(rows, columns, inverse, care)
 
 

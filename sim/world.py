@@ -13,7 +13,7 @@ from sim.relief import HeightField, Relief
 from sim.texture import ByteImage, Image32, Texture, pyramid_of
 
 #: The raster's side is a multiple of this, so that every level of the pyramid covers the same ground.
-_LEVELS = 6
+LEVELS = 6
 
 
 @dataclass(frozen=True)
@@ -63,14 +63,19 @@ class World:
         side = self.pyramid[0].shape[0]
         where = np.column_stack([east_north_m[:, 0] + self.half_m, self.half_m - east_north_m[:, 1]])
         grey = dotted((side, side), where / self.texel_m, sigma_m / self.texel_m)
-        return replace(self, pyramid=pyramid_of(grey, _LEVELS), detail_seed=None)
+        return replace(self, pyramid=pyramid_of(grey, LEVELS), detail_seed=None)
 
 
 def make_world(seed: int, *, half_m: float = 150.0, texel_m: float = 0.08, relief_m: float = 2.0) -> World:
-    """A piece of farmland, the same for the same arguments; rendering it takes about a second per
+    """A piece of farmland, the same for the same arguments; making it takes about a second per
     ten million texels."""
+    return World(Relief.random(seed, relief_m), pyramid_of(farmland(seed, half_m, texel_m), LEVELS), texel_m)
+
+
+def farmland(seed: int, half_m: float, texel_m: float) -> ByteImage:
+    """Colours (side, side, 3) of fields, paths, bushes and stones, row 0 northernmost."""
     rng = np.random.default_rng([seed, 5])
-    step = 2**_LEVELS
+    step = 2**LEVELS
     side = step * int(np.ceil(2 * half_m / texel_m / step))
     canvas = _fields(rng, side, texel_m)
     shade = _multi_scale(rng, side, texel_m)
@@ -80,7 +85,7 @@ def make_world(seed: int, *, half_m: float = 150.0, texel_m: float = 0.08, relie
     _paths(rng, canvas, texel_m)
     _bushes(rng, canvas, texel_m)
     _stones(rng, canvas, texel_m)
-    return World(Relief.random(seed, relief_m), pyramid_of(canvas, _LEVELS), texel_m)
+    return canvas
 
 
 def _noise(rng: np.random.Generator, side: int, cells: int) -> Image32:
