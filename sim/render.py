@@ -19,7 +19,7 @@ from calib.field import Lens
 from sim.facet import Facet
 from sim.sensor import THERMAL, RenderOptions, exposed
 from sim.texture import ByteImage, Image32, as_list, folded
-from sim.trace import FARTHEST_M, GroundMap, directions, ground_map, newton
+from sim.trace import FARTHEST_M, GroundMap, directions, ground_map, newton, trace
 from sim.world import World
 
 __all__ = ["THERMAL", "RenderOptions", "lens_rays", "render"]
@@ -141,9 +141,8 @@ class _Shot:
         rays = self.rays[low:high]
         direction = directions(rays, self.rotation)
         start = self.start_m[low:high]
-        to_ground = self.ground.band(low, self.world.relief, start, direction)
-        nearest = to_ground.copy()
-        what = np.where(np.isfinite(to_ground), _GROUND, _SKY).astype(np.int32)
+        nearest = np.full(direction.shape[:2], np.inf)
+        what = np.full(direction.shape[:2], _SKY, np.int32)
         here = [visible for visible in seen if self._cells(visible, low, high).any()]
         for visible in here:
             v, u = self._pixels(visible, low, high)
@@ -152,6 +151,8 @@ class _Shot:
             v, u = v[nearer], u[nearer]
             nearest[v, u] = distance[nearer]
             what[v, u] = visible.number
+        to_ground = self.ground.band(low, self.world.relief, start, direction, nearest)
+        what[to_ground < nearest] = _GROUND
 
         inner = slice(first - low, last - low)
         image = np.empty((last - first, width, 3), np.float32)
@@ -181,24 +182,31 @@ class _Shot:
             v, u = np.nonzero(_outlines(what)[inner])
             if len(v):
                 at = v + (first - low)
+                cell = self.ground.cell_rows(v + first), self.ground.cell_columns(u)
+                behind = to_ground[at, u]
+                hidden = self.ground.care[cell] == 2  # searched only as far as the structure
+                behind[hidden], _ = trace(self.world.relief, start[at[hidden]], direction[at, u][hidden])
+                candidates = [(visible, visible.cells[cell]) for visible in here]
                 image[v, u] = self._in_parts(
-                    start[at], direction[at, u], (steps[0][at, u], steps[1][at, u]), to_ground[at, u], here
+                    start[at],
+                    direction[at, u],
+                    (steps[0][at, u], steps[1][at, u]),
+                    behind,
+                    [(visible, pixels) for visible, pixels in candidates if pixels.any()],
                 )
         return image
 
     def _cells(self, visible: _Visible, low: int, high: int) -> NDArray[np.bool_]:
-        rows = self.ground.rows
-        top, bottom = np.searchsorted(rows, [low, high - 1], side="right") - 1
+        top, bottom = self.ground.cell_rows(np.array([low, high - 1]))
         return visible.cells[top : bottom + 1]
 
     def _pixels(self, visible: _Visible, low: int, high: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
         """Rows (counted from ``low``) and columns of the pixels in a facet's cells."""
-        rows, columns = self.ground.rows, self.ground.columns
-        row = np.clip(np.searchsorted(rows, np.arange(low, high), side="right") - 1, 0, len(rows) - 2)
+        columns = self.ground.columns
         used = np.flatnonzero(self._cells(visible, low, high).any(axis=0))
         first, last = columns[used[0]], columns[used[-1] + 1] + 1
-        column = np.searchsorted(columns, np.arange(first, last), side="right") - 1
-        v, u = np.nonzero(visible.cells[np.ix_(row, np.clip(column, 0, len(columns) - 2))])
+        row = self.ground.cell_rows(np.arange(low, high))
+        v, u = np.nonzero(visible.cells[np.ix_(row, self.ground.cell_columns(np.arange(first, last)))])
         return v, u + first
 
     def _in_parts(
@@ -207,41 +215,44 @@ class _Shot:
         direction: FloatArray,
         steps: tuple[FloatArray, FloatArray],
         to_ground: FloatArray,
-        here: list[_Visible],
+        candidates: list[tuple[_Visible, NDArray[np.bool_]]],
     ) -> Image32:
-        """Colours (n, 3) of pixels on outlines: the mean over their parts, each seen for itself."""
-        ground = self.world.relief
+        """Colours (n, 3) of pixels on outlines: the mean over their parts, each seen for itself.
+
+        candidates: facets and which of the n pixels are in their cells.
+        """
         count = len(start)
-        total = np.zeros((count, 3), np.float32)
-        small = (steps[0] * 0.25, steps[1] * 0.25)
-        for du in _PARTS:
-            for dv in _PARTS:
-                towards = direction + du * steps[0] + dv * steps[1]
-                nearest = to_ground.copy()
-                below = np.flatnonzero(np.isfinite(to_ground))
-                if len(below):
-                    nearest[below] = newton(ground, start[below], towards[below], to_ground[below])
-                what = np.where(np.isfinite(nearest), _GROUND, _SKY)
-                for visible in here:
-                    distance, s, t = visible.facet.hit(start, towards)
-                    nearer = (distance < nearest) & visible.facet.covers(s, t)
-                    nearest[nearer], what[nearer] = distance[nearer], visible.number
-                colours = np.empty((count, 3), np.float32)
-                colours[:] = _SKY_COLOUR
-                on = np.flatnonzero(what == _GROUND)
-                if len(on):
-                    colours[on] = self._ground_colours(
-                        start[on], towards[on], (small[0][on], small[1][on]), nearest[on]
-                    )
-                for visible in here:
-                    on = np.flatnonzero(what == visible.number)
-                    if len(on):
-                        colours[on] = _facet_colours(
-                            visible.facet, start[on], towards[on], (small[0][on], small[1][on])
-                        )
-                total += colours
-        total /= np.float32(len(_PARTS) ** 2)
-        return total
+        parts = len(_PARTS) ** 2
+        # All parts of all pixels as one list: the first part of every pixel, then the second...
+        du, dv = (np.repeat(n.ravel(), count)[:, None] for n in np.meshgrid(_PARTS, _PARTS))
+        right, down, towards, start = (np.tile(n, (parts, 1)) for n in (*steps, direction, start))
+        towards = towards + du * right + dv * down
+        small = (0.25 * right, 0.25 * down)
+        nearest = np.tile(to_ground, parts)
+        below = np.flatnonzero(np.isfinite(nearest))
+        if len(below):
+            nearest[below] = newton(self.world.relief, start[below], towards[below], nearest[below])
+        what = np.where(np.isfinite(nearest), _GROUND, _SKY)
+        for visible, pixels in candidates:
+            here = np.flatnonzero(np.tile(pixels, parts))
+            distance, s, t = visible.facet.hit(start[here], towards[here])
+            nearer = (distance < nearest[here]) & visible.facet.covers(s, t)
+            nearest[here[nearer]], what[here[nearer]] = distance[nearer], visible.number
+        colours = np.empty((len(start), 3), np.float32)
+        colours[:] = _SKY_COLOUR
+        on = np.flatnonzero(what == _GROUND)
+        if len(on):
+            colours[on] = self._ground_colours(
+                start[on], towards[on], (small[0][on], small[1][on]), nearest[on]
+            )
+        for visible, _ in candidates:
+            on = np.flatnonzero(what == visible.number)
+            if len(on):
+                colours[on] = _facet_colours(
+                    visible.facet, start[on], towards[on], (small[0][on], small[1][on])
+                )
+        mean: Image32 = colours.reshape(parts, count, 3).mean(axis=0)
+        return mean
 
     def _ground_colours(
         self,

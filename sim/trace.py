@@ -18,12 +18,17 @@ _ITERATIONS = 160
 _CLOSE = 2e-5  # gap per distance at which the search hands over to Newton's method
 
 
-def trace(ground: HeightField, start_m: FloatArray, direction: FloatArray) -> tuple[FloatArray, FloatArray]:
+def trace(
+    ground: HeightField,
+    start_m: FloatArray,
+    direction: FloatArray,
+    within: FloatArray | float = np.inf,
+) -> tuple[FloatArray, FloatArray]:
     """Nearest hits of rays (n, 3): distance (n,) in lengths of ``direction``, inf for the sky, and
     (n,) by what angle (rad) the ray passed over nearer ground, inf if it never came closer and left.
 
     No step is longer than the gap to the ground allows at the steepest slope, so that nothing is
-    jumped over.
+    jumped over. Hits farther than ``within`` (n,) may be given as sky.
     """
     flat = np.hypot(direction[:, 0], direction[:, 1])
     length = np.hypot(flat, direction[:, 2])
@@ -35,7 +40,7 @@ def trace(ground: HeightField, start_m: FloatArray, direction: FloatArray) -> tu
         # Beyond this a falling ray is below all ground, a rising one above it.
         level = np.where(fall < 0, ground.lowest_m, ground.highest_m)
         last = np.where(fall == 0, np.inf, (level - start_m[:, 2]) / fall)
-    last = np.minimum(last, FARTHEST_M / np.maximum(flat, 1e-9)) + 1e-6
+    last = np.minimum(np.minimum(last, within), FARTHEST_M / np.maximum(flat, 1e-9)) + 1e-6
     possible = (closing > 0) & ~((above_m > 0) & (fall >= 0)) & (first <= last)
 
     distance = np.full(len(start_m), np.inf)
@@ -90,22 +95,31 @@ class GroundMap:
     inverse: FloatArray
     care: NDArray[np.uint8]
 
+    def cell_rows(self, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+        """In which row of cells rows of pixels (n,) are."""
+        return np.clip(np.searchsorted(self.rows, rows, side="right") - 1, 0, len(self.rows) - 2)
+
+    def cell_columns(self, columns: NDArray[np.intp]) -> NDArray[np.intp]:
+        """In which column of cells columns of pixels (n,) are."""
+        return np.clip(np.searchsorted(self.columns, columns, side="right") - 1, 0, len(self.columns) - 2)
+
     def band(
         self,
         first: int,
         ground: HeightField,
         start_m: FloatArray,
         direction: FloatArray,
+        hidden_from: FloatArray,
     ) -> FloatArray:
         """Distance (h, w) of the rays ``direction`` (h, w, 3) of rows ``first`` onwards that start at
-        ``start_m`` (h, 3); inf for the sky."""
+        ``start_m`` (h, 3); inf for the sky. Beyond ``hidden_from`` (h, w) it need not be right."""
         height, width = direction.shape[:2]
         row_at = np.arange(first, first + height)
-        cell = np.clip(np.searchsorted(self.rows, row_at, side="right") - 1, 0, len(self.rows) - 2)
+        cell = self.cell_rows(row_at)
         share = ((row_at - self.rows[cell]) / (self.rows[cell + 1] - self.rows[cell]))[:, None]
         along = self.inverse[cell] * (1 - share) + self.inverse[cell + 1] * share
         column_at = np.arange(width)
-        right = np.clip(np.searchsorted(self.columns, column_at, side="right") - 1, 0, len(self.columns) - 2)
+        right = self.cell_columns(column_at)
         across = (column_at - self.columns[right]) / (self.columns[right + 1] - self.columns[right])
         inverse = along[:, right] * (1 - across) + along[:, right + 1] * across
         with np.errstate(divide="ignore"):
@@ -121,7 +135,7 @@ class GroundMap:
                     for _ in range(2):
                         better = newton(ground, start_m[v], direction[v, u], better)
                 else:
-                    better, _ = trace(ground, start_m[v], direction[v, u])
+                    better, _ = trace(ground, start_m[v], direction[v, u], hidden_from[v, u])
                 distance[v, u] = better
         return distance
 
@@ -167,11 +181,12 @@ def ground_map(
 
     care = np.zeros(between.shape, np.uint8)
     care[error_px > tolerance_px] = 1
-    care[(error_px > 20) | any_corner(grazing) | (any_corner(hits) & any_corner(~hits))] = 2
+    outline = any_corner(hits) & any_corner(~hits)
+    care[(error_px > 20) | any_corner(grazing) | outline] = 2
     care[~any_corner(hits) & ~any_corner(grazing)] = 0
     # Far away at grazing incidence single bumps would take most of the time and are not seen.
     near = inverse > 1 / _EXACT_M
-    care[~any_corner(near) & (flat > 4 * np.abs(towards[..., 2]))] = 0
+    care[~any_corner(near) & (flat > 4 * np.abs(towards[..., 2])) & ~outline] = 0
     return GroundMap(rows, columns, inverse, care)
 
 
