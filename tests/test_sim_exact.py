@@ -45,6 +45,7 @@ def check(
     options: RenderOptions = CLEAN,
     reach_px: int = 9,
     at_least: int = 40,
+    spread: float = 0.5,
     jpeg: bool = False,
 ) -> None:
     """Render the world and compare all measurable dots with where they must be."""
@@ -76,7 +77,7 @@ def check(
     assert np.abs(error).max() < 0.05
     assert np.abs(error.mean(axis=0)).max() < 0.01
     # The whole image is meant, not its middle only.
-    assert (np.ptp(must_be, axis=0) > 0.5 * eye.size).all()
+    assert (np.ptp(must_be, axis=0) > spread * eye.size).all()
 
 
 def scattered(half_m: float, step_m: float) -> FloatArray:
@@ -102,8 +103,7 @@ SMALL = {"thermal": (640, 512), "full": (1000, 750), "portrait": (600, 800)}
 
 
 @pytest.mark.parametrize("size", SMALL)
-@pytest.mark.parametrize("readout_s", [0.0, 0.06])
-@pytest.mark.parametrize("patterned", [False, True])
+@pytest.mark.parametrize(("patterned", "readout_s"), [(False, 0.0), (True, 0.0), (True, 0.06)])
 def test_lenses_and_shutters(size: str, readout_s: float, patterned: bool) -> None:
     width, height = SMALL[size]
     camera = replace(
@@ -186,27 +186,31 @@ def dotted_lodge(sigma_m: float) -> tuple[World, list[tuple[Surface, FloatArray]
     return world, surfaces
 
 
-@pytest.mark.parametrize("azimuth_deg", [20, 110, 200, 290])
-@pytest.mark.parametrize("readout_s", [0.0, 0.05])
+@pytest.mark.parametrize(("azimuth_deg", "readout_s"), [(20, 0.0), (110, 0.05), (200, 0.05), (290, 0.0)])
 def test_lodge(azimuth_deg: float, readout_s: float) -> None:
     """Walls, roof and panes behind them, from all sides."""
     world, surfaces = dotted_lodge(0.03)
     a = np.radians(azimuth_deg)
-    centre = (11.5 * np.sin(a), 10.5 * np.cos(a), 8.0)
+    centre = (14.0 * np.sin(a), 11.0 * np.cos(a), 8.0)
     velocity = 4.0 * np.array([np.cos(a), -np.sin(a), 0.3])
     eye = looking(centre, (0.0, 0.0, 5.4), velocity_m_s=velocity, readout_s=readout_s)
-    check(world, eye, surfaces, 0.03, reach_px=10, at_least=60)
+    check(world, eye, surfaces, 0.03, reach_px=10, at_least=40)
 
 
-@pytest.mark.parametrize("east_m", [-9.0, 0.0, 9.0])
-@pytest.mark.parametrize("patterned", [False, True])
-@pytest.mark.parametrize("exposure_s", [0.0, 0.01])
-def test_wall(east_m: float, patterned: bool, exposure_s: float) -> None:
-    """From 10 m away, square on and at 45 degrees, as for a calibration."""
-    (bare,) = wall(1, 0.01)
+@lru_cache(maxsize=1)
+def dotted_wall() -> tuple[World, Facet, FloatArray]:
+    (bare,) = wall(1, 0.015)
     where = on_facet(bare, 0.7, 0.04)
     facet = bare.with_dots(where, 0.04)
-    world = World(Plane(-0.5), BLANK, 0.05, (facet,)).with_dots(np.zeros((0, 2)), 0.05)
+    return World(Plane(-0.5), BLANK, 0.05, (facet,)).with_dots(np.zeros((0, 2)), 0.05), facet, where
+
+
+@pytest.mark.parametrize(
+    ("east_m", "patterned", "exposure_s"), [(-9.0, False, 0.0), (0.0, True, 0.01), (9.0, True, 0.0)]
+)
+def test_wall(east_m: float, patterned: bool, exposure_s: float) -> None:
+    """From 10 m away, square on and at 45 degrees, as for a calibration."""
+    world, facet, where = dotted_wall()
     eye = looking(
         (east_m, -10.0, 4.0),
         (0.0, 0.0, 4.2),
@@ -215,4 +219,4 @@ def test_wall(east_m: float, patterned: bool, exposure_s: float) -> None:
         readout_s=0.03,
     )
     options = replace(CLEAN, exposure_s=exposure_s)
-    check(world, eye, [(facet.points_m, where)], 0.04, options=options, reach_px=11)
+    check(world, eye, [(facet.points_m, where)], 0.04, options=options, reach_px=11, spread=0.3)
