@@ -5,6 +5,7 @@ from __future__ import annotations
 import warnings
 from collections.abc import Callable
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -40,7 +41,7 @@ def dem_ground(path: Path, half_m: float) -> tuple[RasterRelief, tuple[float, fl
             raise InputError(
                 f"The DEM {path} has only {data.width} x {data.height} posts: at least 4 x 4 are needed."
             )
-        middle = data.transform * (data.width / 2, data.height / 2)
+        middle = _apply(data.transform)(data.width / 2, data.height / 2)
         longitude, latitude = _geodetic(crs, middle, path, "DEM")
         pixel_from_crs = ~data.transform
         near = PixelMap.fitted(crs, _apply(pixel_from_crs), (latitude, longitude), 100.0)
@@ -59,8 +60,9 @@ def dem_ground(path: Path, half_m: float) -> tuple[RasterRelief, tuple[float, fl
     if missing.any():
         nearest = ndimage.distance_transform_edt(missing, return_distances=False, return_indices=True)
         heights = heights[tuple(nearest)]
-    window_from_crs = rasterio.Affine.translation(-first_column, -first_row) * pixel_from_crs
-    pixels = PixelMap.fitted(crs, _apply(window_from_crs), (latitude, longitude), max(1.5 * half_m, 100.0))
+    pixels = PixelMap.fitted(
+        crs, _apply(pixel_from_crs, first_column, first_row), (latitude, longitude), max(1.5 * half_m, 100.0)
+    )
     absolute = RasterRelief.through(heights, pixels)
     datum_m = float(absolute.height_m(np.zeros(1), np.zeros(1))[0])
     return RasterRelief.through(heights - datum_m, pixels), (latitude, longitude, datum_m)
@@ -117,10 +119,12 @@ def ortho_colours(
     return canvas
 
 
-def _apply(transform: rasterio.Affine) -> Callable[..., tuple[FloatArray, FloatArray]]:
-    def applied(x: FloatArray, y: FloatArray) -> tuple[FloatArray, FloatArray]:
+def _apply(transform: rasterio.Affine, left: float = 0.0, top: float = 0.0) -> Callable[..., Any]:
+    """The transform of numbers or arrays, counted from ``left`` and ``top``."""
+
+    def applied(x: FloatArray | float, y: FloatArray | float) -> tuple[Any, Any]:
         t = transform
-        return t.a * x + t.b * y + t.c, t.d * x + t.e * y + t.f
+        return t.a * x + t.b * y + t.c - left, t.d * x + t.e * y + t.f - top
 
     return applied
 

@@ -171,7 +171,8 @@ def _bushes(rng: np.random.Generator, canvas: ByteImage, texel_m: float) -> None
 def _stones(rng: np.random.Generator, canvas: ByteImage, texel_m: float) -> None:
     side = canvas.shape[0]
     area = (side * texel_m) ** 2
-    for _ in range(int(area / 5)):
+    # Those that a texel swallows are left out of wide, coarse worlds.
+    for _ in range(int(area / 5 * min(1.0, (0.16 / texel_m) ** 2))):
         at = rng.uniform(0, side, 2)
         radius = 0.06 * rng.pareto(2.2) + 0.08  # many small, few large
         if radius > 0.6:
