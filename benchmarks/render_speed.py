@@ -2,7 +2,8 @@
 
     OPENBLAS_NUM_THREADS=1 python -m benchmarks.render_speed [--width 4000]
 
-CPU seconds are those of all threads together. Making the world and the lens's rays is not counted: both are made once per survey.
+CPU seconds are those of all threads together. Making the world and the lens's rays is not counted:
+both are made once per survey.
 """
 
 from __future__ import annotations

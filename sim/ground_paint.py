@@ -15,13 +15,14 @@ from sim.relief import HeightField
 from sim.texture import ByteImage, Image32
 
 _COARSE_M = 0.5
+_MOST = 1500
 _BAND = 256
 
 
 def _ticks(canvas: ByteImage, texel_m: float) -> FloatArray:
     """Positions (n,) of a coarse grid over the canvas, from -half to half."""
     half = len(canvas) * texel_m / 2
-    return np.linspace(-half, half, max(int(2 * half / max(_COARSE_M, texel_m)), 32))
+    return np.linspace(-half, half, int(np.clip(2 * half / max(_COARSE_M, texel_m), 32, _MOST)))
 
 
 def _enlarged(coarse: FloatArray, canvas: ByteImage) -> Image32:

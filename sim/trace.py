@@ -14,6 +14,8 @@ from sim.relief import HeightField
 FARTHEST_M = 6000.0
 #: Ground farther away than this (m), seen at less than 14 degrees, is interpolated whatever it is.
 _EXACT_M = 500.0
+#: Interpolation as wrong as this (px) is not mended by one step of Newton's method.
+_FAR_OFF_PX = 2.0
 _ITERATIONS = 160
 _CLOSE = 2e-5  # gap per distance at which the search hands over to Newton's method
 
@@ -86,8 +88,8 @@ class GroundMap:
     """Distances to the ground over a whole photo, known at nodes and good to about 0.01 px between.
 
     rows (a,), columns (b,): pixels of the nodes. inverse (a, b): 1 / distance, 0 for the sky; linear
-    over a plane. care (a - 1, b - 1): 0 where interpolation is good enough, 1 where pixels need
-    Newton's method, 2 where they need the whole search (behind a crest, at the horizon).
+    over a plane. care (a - 1, b - 1): 0 where interpolation is good enough, 1 where pixels need a
+    step of Newton's method, 2 where they need the whole search (behind a crest, at the horizon).
     """
 
     rows: NDArray[np.intp]
@@ -131,9 +133,7 @@ class GroundMap:
                 if not len(v):
                     continue
                 if method == 1:
-                    better = distance[v, u]
-                    for _ in range(2):
-                        better = newton(ground, start_m[v], direction[v, u], better)
+                    better = newton(ground, start_m[v], direction[v, u], distance[v, u])
                 else:
                     better, _ = trace(ground, start_m[v], direction[v, u], hidden_from[v, u])
                 distance[v, u] = better
@@ -182,7 +182,7 @@ def ground_map(
     care = np.zeros(between.shape, np.uint8)
     care[error_px > tolerance_px] = 1
     outline = any_corner(hits) & any_corner(~hits)
-    care[(error_px > 20) | any_corner(grazing) | outline] = 2
+    care[(error_px > _FAR_OFF_PX) | any_corner(grazing) | outline] = 2
     care[~any_corner(hits) & ~any_corner(grazing)] = 0
     # Far away at grazing incidence single bumps would take most of the time and are not seen.
     near = inverse > 1 / _EXACT_M
