@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from calib.camera import BrownCamera
 from calib.errors import InputError
 from calib.photos.photo import Processing
 from sim.flights import phantom3
+from sim.sensor import THERMAL, RenderOptions
 
 LEAST_WIDTH = 160
 
@@ -18,7 +19,7 @@ class CameraModel:
     """``lens``: the published calibration at full size, of files with ``processing``.
 
     ``default_width`` of simulated photos (px). ``dji_tags``: signs with DJI's XMP; otherwise plain
-    EXIF. ``thermal``: photos are grey.
+    EXIF. ``rendering``: how its photos look.
     """
 
     name: str
@@ -30,7 +31,7 @@ class CameraModel:
     focal_35mm: int
     default_width: int
     dji_tags: bool = True
-    thermal: bool = False
+    rendering: RenderOptions = field(default_factory=RenderOptions)
 
     def at(self, width: int, height: int) -> BrownCamera:
         """The lens with the images resampled to a size."""
@@ -129,5 +130,24 @@ WIRIS_PRO = CameraModel(
     40,
     default_width=640,
     dji_tags=False,
-    thermal=True,
+    rendering=THERMAL,
 )
+
+#: By the names that options take.
+CAMERAS: dict[str, CameraModel] = {
+    "phantom-3": PHANTOM_3,
+    "inspire-1": INSPIRE_1,
+    "phantom-4-pro": PHANTOM_4_PRO,
+    "wiris-pro": WIRIS_PRO,
+}
+
+
+def find_camera(name: str) -> CameraModel:
+    """A camera by its name.
+
+    Raises:
+        InputError: there is none; the sentence names them all.
+    """
+    if name not in CAMERAS:
+        raise InputError(f"There is no camera named {name} to simulate: choose one of {', '.join(CAMERAS)}.")
+    return CAMERAS[name]

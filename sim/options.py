@@ -2,20 +2,21 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from datetime import datetime
 from pathlib import Path
 
 from calib.camera import BrownCamera
 from sim.gps import GpsKind
-from sim.render import RenderOptions
+from sim.sensor import RenderOptions
 
 
 @dataclass(frozen=True)
 class SurveyOptions:
     """What disturbs a rendered survey, and what its files say. None means: as the recipe has it.
 
-    ``camera``: true lens (default: that of the recipe's camera, brought to the size). ``pattern_px``:
+    ``camera_model``: a name of :data:`sim.cameras.CAMERAS`. ``camera``: true lens (default: that of the
+    camera model, brought to the size). ``pattern_px``:
     largest length of a non-Brown pattern at 4000 px image width; ``aspect``: b1 / f. ``site_m`` scales
     the flight, 120 m being as flown; ``photos`` reduces those recipes that allow it. ``relief_m``: height
     of rolling ground; ``dem``, ``ortho``: GeoTIFFs to fly over instead of invented ground.
@@ -29,6 +30,7 @@ class SurveyOptions:
     say about it (see :func:`sim.survey.lens_corrected` for such a lens).
     """
 
+    camera_model: str | None = None
     camera: BrownCamera | None = None
     pattern_px: float = 0.0
     aspect: float = 0.0
@@ -47,7 +49,7 @@ class SurveyOptions:
     height_jitter_m: float = 0.5
     attitude_jitter_deg: float = 1.0
     speed_m_s: float | None = None
-    render: RenderOptions = field(default_factory=RenderOptions)
+    render: RenderOptions | None = None
     take_off_photo: bool = False
     apart: bool = False
     texel_m: float | None = None

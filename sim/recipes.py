@@ -128,17 +128,17 @@ def _papers(outline_m: FloatArray, heading_deg: float, *parts: str) -> Plan:
 
 
 _PATTERNS = {
-    "1": (("60",), "nadir at 60 m"),
-    "2": (("60", "80"), "nadir at 60 and 80 m"),
-    "3": (("60", "convergent"), "nadir at 60 m and 8 convergent"),
-    "4": (("60", "80", "convergent"), "nadir at 60 and 80 m and 8 convergent"),
+    "1": (("60",), "nadir 60 m"),
+    "2": (("60", "80"), "nadir 60+80 m"),
+    "3": (("60", "convergent"), "nadir 60 m, 8 convergent"),
+    "4": (("60", "80", "convergent"), "nadir 60+80 m, 8 convergent"),
 }
 
 
 def _paper_recipes() -> list[Recipe]:
     made = []
     for site, outline, heading, ground, notes in (
-        ("A", SITE_A, 0.0, "triangular sloping field", "Assumed: outline, a fall of 9 m eastwards, spacing."),
+        ("A", SITE_A, 0.0, "sloping field", "Assumed: outline, a fall of 9 m eastwards, spacing."),
         ("B", SITE_B, 90.0, "lawn with a levee", "Assumed: 120 x 64 m, spacing; the levee is 1 m high."),
     ):
         for number, (parts, pattern) in _PATTERNS.items():
@@ -146,7 +146,7 @@ def _paper_recipes() -> list[Recipe]:
             made.append(
                 Recipe(
                     f"{site}{number}",
-                    f"[C&D] flight {site}{number}, {ground}: {pattern}",
+                    f"{ground}, {pattern} [C&D]",
                     plan,
                     len(plan(1.0, 0)),
                     outline,
@@ -226,9 +226,9 @@ def _corridor(scale: float, photos: int) -> Flight:
 
 def _others() -> list[Recipe]:
     old = [
-        ("demo", "12 nadir and 8 convergent photos: the demonstration's survey"),
-        ("demo_nadir", "the 12 nadir photos of demo alone"),
-        ("nadir_one_height", "18 nadir photos at one height: what most people fly"),
+        ("demo", "12 nadir and 8 convergent photos, as in `make demo`"),
+        ("demo_nadir", "the 12 nadir photos of demo"),
+        ("nadir_one_height", "nadir at one height, as most people fly"),
         ("crosshatch", "two grids at right angles, 15 degrees off nadir"),
         ("crosshatch_nadir", "two grids at right angles, straight down"),
     ]
@@ -250,11 +250,11 @@ def _others() -> list[Recipe]:
     rgb = _rings((0.34, 18.0, 5.0), (0.33, 22.0, 14.0), (0.33, 27.0, 24.0))
     thermal = _rings((0.26, 17.0, 5.0), (0.25, 21.0, 12.0), (0.25, 25.0, 20.0), (0.24, 30.0, 28.0))
     made += [
-        Recipe("oblique", "one grid, 20 degrees off nadir, lines against each other", _oblique, 32, _SQUARE),
+        Recipe("oblique", "one grid, 20 degrees off nadir", _oblique, 32, _SQUARE),
         Recipe("orbit", "a circle looking inwards at 40 degrees", _orbit, 36, _SQUARE, countable=True),
         Recipe(
             "corridor",
-            "two long lines over a strip of 300 x 40 m, nadir",
+            "two lines over a strip of 300 x 40 m, nadir",
             _corridor,
             len(_corridor(1.0, 0)),
             _CORRIDOR,
@@ -262,7 +262,7 @@ def _others() -> list[Recipe]:
         ),
         Recipe(
             "wall",
-            "[C&D] flat wall from 10 m: 12 convergent pairs at +-45 degrees",
+            "flat wall from 10 m, 12 pairs at +-45 degrees [C&D]",
             _wall,
             24,
             _WALL,
@@ -276,7 +276,7 @@ def _others() -> list[Recipe]:
         replace(
             building,
             name="building-rgb",
-            summary="[SEN] orbits around a building, Phantom 4 Pro, 101 photos",
+            summary="circles around a building, Phantom 4 Pro [SEN]",
             plan=rgb,
             photos=101,
             notes="Assumed: three circles of 18, 22 and 27 m radius at 5, 14 and 24 m.",
@@ -285,7 +285,7 @@ def _others() -> list[Recipe]:
         replace(
             building,
             name="building-thermal",
-            summary="[SEN] orbits around a building, WIRIS Pro, 158 photos",
+            summary="circles around a building, thermal WIRIS Pro [SEN]",
             plan=thermal,
             photos=158,
             notes="Assumed: four circles of 17 to 30 m radius at 5 to 28 m; grey photos stand for heat.",

@@ -101,7 +101,7 @@ def height_grid(world: World, outline_m: FloatArray, cells: int = 120) -> Height
         a + step * np.arange(int((b - a) / step + 1e-9) + 1) for a, b in zip(low, high, strict=True)
     )
     grid_east, grid_north = np.meshgrid(east, north)
-    return HeightGrid(east, north, world.height_m(grid_east, grid_north))
+    return HeightGrid(east, north, world.height_m(grid_east, grid_north, structures=True))
 
 
 def check_points(world: World, outline_m: FloatArray, seed: int, count: int = 300) -> FloatArray:
@@ -117,7 +117,8 @@ def check_points(world: World, outline_m: FloatArray, seed: int, count: int = 30
     offset = tried[:, None, :] - inner
     inside = (side[:, 0] * offset[..., 1] - side[:, 1] * offset[..., 0] >= 0).all(axis=1)
     east, north = tried[inside].T
-    around = [world.height_m(east + a, north + b) for a in (-0.5, 0.0, 0.5) for b in (-0.5, 0.0, 0.5)]
+    steps = (-0.5, 0.0, 0.5)
+    around = [world.height_m(east + a, north + b, structures=True) for a in steps for b in steps]
     even = np.ptp(around, axis=0) < 0.5
-    points: FloatArray = np.column_stack([east, north, world.height_m(east, north)])[even][:count]
+    points: FloatArray = np.column_stack([east, north, around[len(around) // 2]])[even][:count]
     return points

@@ -9,7 +9,6 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
-import cv2
 import numpy as np
 
 from calib.camera import BrownCamera, FloatArray
@@ -17,7 +16,7 @@ from calib.errors import InputError
 from calib.field import Lens
 from calib.frames import rotation_tilt_deg
 from calib.photos.photo import CameraIdentity, Processing
-from sim.cameras import CameraModel
+from sim.cameras import CameraModel, find_camera
 from sim.flights import Flight, jittered
 from sim.gps import GpsKind
 from sim.options import SurveyOptions
@@ -29,7 +28,7 @@ from sim.shapes import looking_at
 from sim.sites import check_points, height_grid, site_world
 from sim.tags import seconds_of, tags_of
 from sim.truth import TRUTH_FILE, HeightGrid, SurveyTruth, read_truth, true_reference, write_truth
-from sim.world import ByteImage, World
+from sim.world import World
 
 __all__ = [
     "TRUTH_FILE",
@@ -79,6 +78,8 @@ def write_survey(
     """
     options = options or SurveyOptions()
     plan = find_recipe(recipe)
+    if options.camera_model is not None:
+        plan = replace(plan, camera=find_camera(options.camera_model))
     scale = 1.0 if plan.fixed_scale else options.site_m / _SITE_M
     camera = options.camera or plan.camera.at(*size)
     camera = replace(camera, b1_px=camera.b1_px + options.aspect * camera.f_px)
@@ -92,7 +93,13 @@ def write_survey(
         options.height_jitter_m,
         options.attitude_jitter_deg,
     )
+    rendering = options.render or plan.camera.rendering
     world = _world_of(plan, flight, camera, seed, scale, options)
+    if world.origin_wgs84 is not None:
+        latitude_deg, longitude_deg, altitude_m = world.origin_wgs84
+        options = replace(
+            options, latitude_deg=latitude_deg, longitude_deg=longitude_deg, ground_altitude_m=altitude_m
+        )
     if options.take_off_photo:
         flight = _on_the_ground(plan.outline_m[0] * scale, world) + flight
     dji = plan.camera.dji_tags if options.dji_tags is None else options.dji_tags
@@ -123,7 +130,7 @@ def write_survey(
         flight.centres_m,
         (options.latitude_deg, options.longitude_deg, options.ground_altitude_m),
         velocity_m_s=speed_m_s * flight.track,
-        readout_s=options.render.readout_s,
+        readout_s=rendering.readout_s,
         heights=height_grid(world, plan.outline_m * scale),
         check_points_m=check_points(world, plan.outline_m * scale, seed),
         take_off=names[:1] if options.take_off_photo else (),
@@ -138,10 +145,10 @@ def write_survey(
             flight.rotations_cam_from_world[i],
             flight.centres_m[i],
             velocity_m_s=speed_m_s * flight.track[i],
-            options=options.render,
+            options=rendering,
             seed=seed * 1000 + i,
         )
-        write_photo(out_dir / names[i], _thermal(image) if plan.camera.thermal else image, tags[i])
+        write_photo(out_dir / names[i], image, tags[i])
 
     # Threads, not processes: the work is done inside numpy and OpenCV, and the world is large.
     pool = ThreadPoolExecutor(min(workers, 2))
@@ -223,11 +230,6 @@ def _identity(model: CameraModel, camera: BrownCamera, dji: bool, options: Surve
         processing=processing if dji else Processing.UNKNOWN,
         focal_mm=model.focal_mm,
     )
-
-
-def _thermal(image: ByteImage) -> ByteImage:
-    grey = cv2.cvtColor(image, cv2.COLOR_RGB2GRAY)
-    return np.repeat(np.asarray(grey, np.uint8)[..., None], 3, axis=2)
 
 
 def _names(flight: Flight, apart: bool, prefix: str) -> tuple[str, ...]:
