@@ -36,6 +36,8 @@ _FRAMES = {
     "while the camera moves at velocity_m_s",
     "heights": "z_m[i][j] is the height of what is seen from above at north_m[i], east_m[j]",
     "check_points": "ground points with their WGS84 altitude above the ellipsoid and UTM coordinates",
+    "utm": "grid north lies meridian_convergence_deg clockwise of true north; grid lengths are scale times "
+    "true ones",
 }
 
 
@@ -229,7 +231,6 @@ def _utm_json(origin_wgs84: tuple[float, float, float], crs: str) -> dict[str, A
         "crs": crs,
         "origin_easting_m": float(easting),
         "origin_northing_m": float(northing),
-        # Grid north is this far clockwise of true north, and grid lengths are this much too long.
         "meridian_convergence_deg": float(factors.meridian_convergence),
         "scale": float(factors.meridional_scale),
     }

@@ -78,7 +78,9 @@ def test_nadir_photos_lie_over_the_site_and_overlap(site: str, outline: FloatArr
     same_line = (flight.track[1:] == flight.track[:-1]).all(axis=1)
     along = np.linalg.norm(steps[same_line], axis=1)
     assert 0.75 < 1 - along.max() / (2 * half[1]) < 0.9
-    across = np.abs(np.cross(np.append(flight.track[0, :2], 0), np.column_stack([steps, np.zeros(len(steps))])))
+    across = np.abs(
+        np.cross(np.append(flight.track[0, :2], 0), np.column_stack([steps, np.zeros(len(steps))]))
+    )
     between = across[~same_line].max()
     assert 0.65 < 1 - between / (2 * half[0]) < 0.85
     # Every place of the site is in at least three photos.
@@ -163,7 +165,9 @@ def test_number_of_photos() -> None:
             find_recipe("orbit").flight(photos=photos)
 
 
-@pytest.mark.parametrize(("wrong", "hint"), [("a3", "Did you mean A3"), ("waal", "wall"), ("xyzzy", "sim list")])
+@pytest.mark.parametrize(
+    ("wrong", "hint"), [("a3", "Did you mean A3"), ("waal", "wall"), ("xyzzy", "sim list")]
+)
 def test_unknown_recipe(wrong: str, hint: str) -> None:
     with pytest.raises(InputError, match=hint):
         find_recipe(wrong)
