@@ -190,7 +190,7 @@ def _rings(*rings: tuple[float, float, float]) -> Plan:
 
 def _wall(scale: float, photos: int) -> Flight:
     del scale
-    return wall_pairs(photos // 2, 10.0, 9.0, 4.0)
+    return wall_pairs(photos // 2, 10.0, 6.0, 4.0)
 
 
 # -- flights by older names, and others -----------------------------------------------------------
@@ -241,7 +241,7 @@ def _others() -> list[Recipe]:
         Recipe("", "", _wall, 0, _BUILDING),
         world="building",
         nearest_m=12.0,
-        reach_m=70.0,
+        reach_m=45.0,
         speed_m_s=2.0,
         interval_s=3.0,
         countable=True,
@@ -269,7 +269,7 @@ def _others() -> list[Recipe]:
             "Assumed: camera level at half the wall's height; 30 m of wall (the paper's has about 50 m).",
             world="wall",
             nearest_m=10.0,
-            reach_m=60.0,
+            reach_m=40.0,
             speed_m_s=1.0,
             fixed_scale=True,
         ),

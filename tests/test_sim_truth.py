@@ -4,11 +4,13 @@ from __future__ import annotations
 
 import json
 from datetime import timedelta
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
+import rasterio
 from numpy.polynomial import legendre
 from PIL import Image
 
@@ -262,7 +264,7 @@ def test_true_lens_is_a_reference(survey: tuple[Path, SurveyTruth], tmp_path: Pa
 def test_photos_are_a_flight_in_time(survey: tuple[Path, SurveyTruth]) -> None:
     folder, truth = survey
     times = [read_photo(folder / name).time for name in truth.photos]
-    gaps = [b - a for a, b in zip(times[:-1], times[1:], strict=True) if a and b]
+    gaps = [b - a for a, b in pairwise(times) if a and b]
     assert min(gaps) >= timedelta(seconds=1.99)
     assert sum(gaps, timedelta()) < timedelta(minutes=25)
 
@@ -273,7 +275,7 @@ def test_an_old_truth_does_not_outlive_its_photos(tmp_path: Path) -> None:
     class Enough(Exception):
         pass
 
-    def stop(done: int, total: int) -> None:
+    def stop(*_: int) -> None:
         raise Enough
 
     with pytest.raises(Enough):
@@ -294,3 +296,30 @@ def test_options_that_make_no_survey(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="structure of its own"):
         write_survey("wall", tmp_path / "x", 1, size=SMALL, options=SurveyOptions(dem=tmp_path / "d.tif"))
     assert not (tmp_path / "x").exists()
+
+
+def test_a_survey_over_a_dem_lies_where_the_dem_does(tmp_path: Path) -> None:
+    north, east = np.mgrid[0:200, 0:220]
+    heights = 320 + 6 * np.sin(east / 25) + 4 * np.cos(north / 30)
+    middle = (563_000.0, 5_632_000.0)
+    place = rasterio.transform.from_origin(middle[0] - 220, middle[1] + 200, 2.0, 2.0)
+    with rasterio.open(
+        tmp_path / "dem.tif", "w", driver="GTiff", height=200, width=220, count=1, dtype="float32",
+        crs="EPSG:32630", transform=place,
+    ) as file:  # fmt: skip
+        file.write(heights.astype(np.float32), 1)
+    truth, photos = made(tmp_path / "x", "A1", dem=tmp_path / "dem.tif", gps=GpsKind.RTK)
+    latitude, longitude, altitude = truth.origin_wgs84
+    assert project("EPSG:32630", np.array([latitude]), np.array([longitude]))[0] == pytest.approx(
+        middle, abs=1
+    )
+    assert altitude == pytest.approx(heights[100, 110], abs=1)
+    assert np.abs(position_error_m(truth, photos)).max() < 0.15
+    # Check points have the DEM's heights at their places in the DEM's own grid.
+    content = json.loads((tmp_path / "x" / "truth.json").read_text())
+    assert content["utm"]["crs"] == "EPSG:32630"
+    easting, northing, z = np.array(content["check_points"]["utm_m"]).T
+    column = (easting - place.c) / 2 - 0.5
+    row = (place.f - northing) / 2 - 0.5
+    wanted = 320 + 6 * np.sin(column / 25) + 4 * np.cos(row / 30)
+    assert z == pytest.approx(wanted, abs=0.05)
