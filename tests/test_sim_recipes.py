@@ -12,7 +12,8 @@ from calib.frames import rotation_tilt_deg
 from calib.references import load_reference
 from sim.cameras import CAMERAS, INSPIRE_1, PHANTOM_4_PRO, WIRIS_PRO
 from sim.flights import flight_plan, phantom3
-from sim.recipes import RECIPES, SITE_A, SITE_B, find_recipe
+from sim.plans import SITE_A, SITE_B
+from sim.recipes import RECIPES, find_recipe
 from sim.shapes import block, looking_at
 
 NAMES = list(RECIPES)
