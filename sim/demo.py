@@ -20,10 +20,9 @@ from rich.progress import Progress
 
 from calib.errors import FieldcalError, OutputError
 from calib.findings import Verdict
-from calib.photos.photo import Processing
 from calib.reference import Reference
 from calib.reference_file import write_reference_file
-from sim.survey import SurveyOptions, SurveyTruth, read_truth, write_survey
+from sim.survey import SurveyOptions, SurveyTruth, read_truth, true_reference, write_survey
 
 RECIPE, SEED = "demo", 1
 OPTIONS = SurveyOptions(apart=True)
@@ -82,19 +81,7 @@ def photographed(folder: Path, size: tuple[int, int], console: Console) -> Surve
 
 def reference_of(truth: SurveyTruth) -> Reference:
     """The true lens as the reference that a calibration on site would have given."""
-    return Reference(
-        name="demo-truth",
-        make="DJI",
-        model=OPTIONS.model,
-        width=truth.camera.width,
-        height=truth.camera.height,
-        processing=Processing.LENS_CORRECTED if OPTIONS.lens_corrected else Processing.RAW,
-        source="the simulator's true lens",
-        brown=truth.camera,
-        serial=OPTIONS.serial,
-        provenance="rendered survey: known exactly",
-        exif_models=(OPTIONS.model,),
-    )
+    return true_reference(truth, "demo-truth")
 
 
 def check(step: Step, photos: Path, reference: Path, out: Path, console: Console) -> bool:

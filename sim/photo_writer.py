@@ -1,4 +1,7 @@
-"""JPEG files with EXIF and XMP as a DJI camera writes them."""
+"""JPEG files with tags as drone cameras write them: DJI's EXIF and XMP, or plain EXIF.
+
+Cameras that an autopilot triggers over MAVLink know a position at best: no XMP, no gimbal angles.
+"""
 
 from __future__ import annotations
 
@@ -12,7 +15,7 @@ from PIL.TiffImagePlugin import IFDRational
 
 from calib.camera import FloatArray
 from calib.photos.photo import GimbalAngles
-from sim.world import ByteImage
+from sim.texture import ByteImage
 
 
 @dataclass(frozen=True)
@@ -21,7 +24,8 @@ class PhotoTags:
 
     ``serial`` None writes no serial number, as the first Phantoms did. ``flight``: attitude of the
     aircraft, in the same angles as the gimbal's. ``lens_corrected`` goes into DewarpFlag, as newer
-    cameras write it: without it readers have to guess.
+    cameras write it: without it (None) readers have to guess. ``dji_xmp``: whether XMP is written at
+    all. ``rtk_sigma_m``: what an RTK receiver states of itself, east, north, up.
     """
 
     time: datetime
@@ -34,7 +38,9 @@ class PhotoTags:
     make: str = "DJI"
     model: str = "FC300X"
     serial: str | None = "FIELDCALSIM0001"
-    lens_corrected: bool = False
+    lens_corrected: bool | None = False
+    dji_xmp: bool = True
+    rtk_sigma_m: tuple[float, float, float] | None = None
     focal_mm: float = 3.61
     focal_35mm: int = 20
 
@@ -56,9 +62,9 @@ def write_photo(path: Path, image: ByteImage, tags: PhotoTags, *, quality: int =
     Raises:
         OSError: the file cannot be written.
     """
-    Image.fromarray(image).save(
-        path, quality=quality, subsampling=0, exif=_exif(image, tags).tobytes(), xmp=_xmp(tags)
-    )
+    exif = _exif(image, tags).tobytes()
+    xmp = {"xmp": _xmp(tags)} if tags.dji_xmp else {}
+    Image.fromarray(image).save(path, format="JPEG", quality=quality, subsampling=0, exif=exif, **xmp)
 
 
 def _exif(image: ByteImage, tags: PhotoTags) -> Image.Exif:
@@ -66,7 +72,8 @@ def _exif(image: ByteImage, tags: PhotoTags) -> Image.Exif:
     stamp = tags.time.strftime("%Y:%m:%d %H:%M:%S")
     exif = Image.Exif()
     exif[base.Make], exif[base.Model] = tags.make, tags.model
-    exif[base.Software] = "v01.09.0060"
+    if tags.dji_xmp:
+        exif[base.Software] = "v01.09.0060"
     exif[base.Orientation] = 1
     exif[base.DateTime] = stamp
     details = exif.get_ifd(ExifTags.IFD.Exif)
@@ -88,6 +95,9 @@ def _exif(image: ByteImage, tags: PhotoTags) -> Image.Exif:
     place[gps.GPSLongitude] = _degrees_minutes_seconds(tags.longitude_deg)
     place[gps.GPSAltitudeRef] = b"\x00" if tags.altitude_m >= 0 else b"\x01"
     place[gps.GPSAltitude] = IFDRational(round(abs(tags.altitude_m) * 1000), 1000)
+    if tags.rtk_sigma_m is not None and not tags.dji_xmp:
+        error_mm = round(1000 * max(tags.rtk_sigma_m[:2]))
+        place[gps.GPSHPositioningError] = IFDRational(error_mm, 1000)
     return exif
 
 
@@ -109,8 +119,12 @@ def _xmp(tags: PhotoTags) -> bytes:
         "FlightYawDegree": _wrapped(tags.flight.yaw_deg),
         "FlightPitchDegree": tags.flight.pitch_deg,
     }
-    lines = [f'   drone-dji:{name}="{value:+.2f}"' for name, value in values.items()]
-    lines.append(f'   drone-dji:DewarpFlag="{int(tags.lens_corrected)}"')
+    # DJI writes millimetres where it knows them.
+    digits = 2 if tags.rtk_sigma_m is None else 3
+    lines = [f'   drone-dji:{name}="{value:+.{digits}f}"' for name, value in values.items()]
+    lines += [f'   drone-dji:{name}="{value}"' for name, value in _rtk(tags).items()]
+    if tags.lens_corrected is not None:
+        lines.append(f'   drone-dji:DewarpFlag="{int(tags.lens_corrected)}"')
     if tags.serial is not None:
         lines.append(f'   drone-dji:CameraSerialNumber="{tags.serial}"')
     body = "\n".join(lines)
@@ -127,6 +141,23 @@ def _xmp(tags: PhotoTags) -> bytes:
  </rdf:RDF>
 </x:xmpmeta>
 <?xpacket end="w"?>""".encode()
+
+
+def _rtk(tags: PhotoTags) -> dict[str, str]:
+    """A fixed RTK solution as DJI's drones state it, with the position to a tenth of a millimetre."""
+    if tags.rtk_sigma_m is None:
+        return {}
+    east, north, up = tags.rtk_sigma_m
+    return {
+        "GpsStatus": "RTK",
+        "AltitudeType": "RtkAlt",
+        "GpsLatitude": f"{tags.latitude_deg:+.9f}",
+        "GpsLongitude": f"{tags.longitude_deg:+.9f}",
+        "RtkFlag": "50",
+        "RtkStdLon": f"{east:.5f}",
+        "RtkStdLat": f"{north:.5f}",
+        "RtkStdHgt": f"{up:.5f}",
+    }
 
 
 def _wrapped(yaw_deg: float) -> float:

@@ -1,7 +1,8 @@
 """Photos of a :class:`~sim.world.World` through a known lens.
 
-Every pixel's ray is intersected with the relief, from the place where the camera was when that
-pixel's row was read, and the texture is averaged over the pixel's footprint.
+Every pixel's ray is intersected with the ground and with the structures on it, from the place where
+the camera was when that pixel's row was read; what is hit first is seen. Its texture is averaged over
+the pixel's footprint, and pixels on the outline of a structure over what their parts see.
 """
 
 from __future__ import annotations
@@ -9,30 +10,27 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass
 
-import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.interpolate import RectBivariateSpline
 
 from calib.camera import FloatArray
 from calib.field import Lens
-from sim.world import ByteImage, World
+from sim.facet import Facet
+from sim.sensor import THERMAL, RenderOptions, exposed
+from sim.texture import ByteImage, Image32, as_list, folded
+from sim.trace import FARTHEST_M, GroundMap, directions, ground_map, newton, trace
+from sim.world import World
+
+__all__ = ["THERMAL", "RenderOptions", "lens_rays", "render"]
 
 _STEP = 8  # px between the nodes on which smooth maps are computed before they are interpolated
-_BAND = 64  # rows filtered together
-_SKY = np.array([188, 203, 219], np.uint8)
-
-
-@dataclass(frozen=True)
-class RenderOptions:
-    """``blur_px``: Gaussian sigma of optics and motion. ``noise_levels``: sensor noise, standard
-    deviation in grey levels of 255. ``vignetting``: loss of light in the corners (0..1).
-    ``readout_s``: rolling shutter, first row to last; the pose is the middle row's."""
-
-    blur_px: float = 0.5
-    noise_levels: float = 2.0
-    vignetting: float = 0.2
-    readout_s: float = 0.0
+_BAND = 64  # rows worked on together
+_SKY_COLOUR = np.array([188, 203, 219], np.float32)
+_SKY = -1
+_GROUND = 0
+_PARTS = (-0.375, -0.125, 0.125, 0.375)  # where a pixel on an outline is sampled, each way (px)
+_NEAREST_M = 0.05  # structures nearer to the camera than this are not drawn
 
 
 def lens_rays(lens: Lens, pattern: Callable[[FloatArray], FloatArray] | None = None) -> FloatArray:
@@ -69,109 +67,286 @@ def render(
 ) -> ByteImage:
     """One photo, RGB (height, width, 3).
 
-    rays: (height, width, 2) from :func:`lens_rays`. rotation (3, 3), centre (3,) of the middle row;
-    velocity (3,) matters with a rolling shutter.
+    rays: (height, width, 2) from :func:`lens_rays`. rotation (3, 3), centre (3,) of the middle row, in
+    the middle of its exposure; velocity (3,) matters with a rolling shutter or an exposure time.
     """
     options = options or RenderOptions()
-    east, north, sky = _ground(
-        world, rays, rotation_cam_from_world, centre_m, velocity_m_s, options.readout_s
+    height = len(rays)
+    time_s = ((np.arange(height) + 0.5) / height - 0.5) * options.readout_s
+    moving = np.zeros(3) if velocity_m_s is None else np.asarray(velocity_m_s, float)
+    start_m = centre_m + time_s[:, None] * moving
+    shot = _Shot(
+        world,
+        rays,
+        rotation_cam_from_world,
+        start_m,
+        ground_map(world.relief, start_m, rays, rotation_cam_from_world, _STEP),
     )
-    image = _look_up(world, east, north)
-    image[sky] = _SKY
-    height, width = image.shape[:2]
-    if options.blur_px > 0:
-        image = np.asarray(cv2.GaussianBlur(image, (0, 0), options.blur_px), np.float32)
-    if options.vignetting > 0:
-        u = (np.arange(width, dtype=np.float32) + 0.5) / width - 0.5
-        v = (np.arange(height, dtype=np.float32) + 0.5) / height - 0.5
-        radius2 = (u * u * width**2 + (v * v * height**2)[:, None]) * 4 / (width**2 + height**2)
-        image *= (1 - np.float32(options.vignetting) * radius2 * radius2)[..., None]
-    if options.noise_levels > 0:
-        rng = np.random.default_rng([seed, 6])
-        # One draw for all three channels: what matters is the noise of the brightness.
-        image += np.float32(options.noise_levels) * rng.standard_normal((height, width, 1), dtype=np.float32)
-    photo: ByteImage = np.clip(image + 0.5, 0, 255).astype(np.uint8)
-    return photo
-
-
-def _ground(
-    world: World,
-    rays: FloatArray,
-    rotation: FloatArray,
-    centre: FloatArray,
-    velocity: FloatArray | None,
-    readout_s: float,
-) -> tuple[FloatArray, FloatArray, NDArray[np.bool_]]:
-    """Ground position east and north of every pixel, (height, width) each, and where there is none."""
-    height, width = rays.shape[:2]
-    x, y = rays[..., 0], rays[..., 1]
-    direction = [x * rotation[0, a] + y * rotation[1, a] + rotation[2, a] for a in range(3)]
-    sky = direction[2] > -0.1 * np.sqrt(direction[0] ** 2 + direction[1] ** 2)
-    down = np.where(sky, -0.1, direction[2])
-    time_s = ((np.arange(height) + 0.5) / height - 0.5) * readout_s
-    start = centre + time_s[:, None] * (np.zeros(3) if velocity is None else velocity)
-
-    rows = np.unique(np.rint(np.linspace(0, height - 1, max(height // _STEP, 8))).astype(int))
-    columns = np.unique(np.rint(np.linspace(0, width - 1, max(width // _STEP, 8))).astype(int))
-    at = np.ix_(rows, columns)
-    coarse = -start[rows, 2:3] / down[at]
-    for _ in range(8):
-        coarse = _newton(world, start[rows], direction[0][at], direction[1][at], down[at], coarse)
-    # Between the nodes the distance is interpolated and made exact by one more step.
-    distance = RectBivariateSpline(rows, columns, coarse, kx=1, ky=1)(np.arange(height), np.arange(width))
-    distance = _newton(world, start, direction[0], direction[1], down, distance)
-    return start[:, 0:1] + distance * direction[0], start[:, 1:2] + distance * direction[1], sky
-
-
-def _newton(
-    world: World,
-    start: FloatArray,
-    to_east: FloatArray,
-    to_north: FloatArray,
-    down: FloatArray,
-    t: FloatArray,
-) -> FloatArray:
-    """One step towards the distance t at which start + t * direction meets the relief."""
-    east, north = start[:, 0:1] + t * to_east, start[:, 1:2] + t * to_north
-    height, by_east, by_north = world.relief.height_and_gradient(east, north)
-    above = start[:, 2:3] + t * down - height
-    # The relief's slopes are gentle; a view along a slope would need a search instead.
-    return t - above / np.minimum(down - by_east * to_east - by_north * to_north, -0.02)
-
-
-def _look_up(world: World, east: FloatArray, north: FloatArray) -> NDArray[np.float32]:
-    """Texture (height, width, 3) averaged over every pixel: four samples each, bilinear between texels
-    and levels of the pyramid."""
-    height, width = east.shape
-    image = np.empty((height, width, 3), np.float32)
-    top = len(world.pyramid) - 1
+    seen = shot.visible_facets()
+    image = np.empty((*rays.shape[:2], 3), np.float32)
     for first in range(0, height, _BAND):
         last = min(first + _BAND, height)
-        low, high = max(first - 1, 0), min(last + 1, height)  # a row more for the slopes
+        image[first:last] = shot.band(first, last, seen)
+    way_px = None
+    if options.exposure_s > 0 and moving.any():
+        way_px = shot.image_motion(moving, seen) * options.exposure_s
+    return exposed(image, options, way_px, seed)
+
+
+@dataclass(frozen=True)
+class _Visible:
+    """A facet that may be in the photo. cells: where, by the cells between the map's nodes."""
+
+    number: int
+    facet: Facet
+    cells: NDArray[np.bool_]
+
+
+@dataclass(frozen=True)
+class _Shot:
+    """What one photo is made from; start_m (h, 3): where the camera is when each row is read."""
+
+    world: World
+    rays: FloatArray
+    rotation: FloatArray
+    start_m: FloatArray
+    ground: GroundMap
+
+    def visible_facets(self) -> list[_Visible]:
+        nodes = self.rays[np.ix_(self.ground.rows, self.ground.columns)]
+        corners = np.stack([nodes[:-1, :-1], nodes[1:, :-1], nodes[:-1, 1:], nodes[1:, 1:]])
+        low, high = corners.min(axis=0), corners.max(axis=0)
+        # Cells are a little larger than their corners say, their borders being curved.
+        margin = 0.2 * (high - low)
+        low, high = low - margin, high + margin
+        out = []
+        for number, facet in enumerate(self.world.facets, start=1):
+            cells = np.zeros(low.shape[:2], bool)
+            ends = [
+                _ray_bounds((facet.corners_m - start) @ self.rotation.T) for start in self.start_m[[0, -1]]
+            ]
+            bounds = [end for end in ends if end is not None]
+            if not bounds:
+                continue
+            least, most = np.min([b[0] for b in bounds], axis=0), np.max([b[1] for b in bounds], axis=0)
+            cells = ((high >= least) & (low <= most)).all(axis=-1)
+            if cells.any():
+                out.append(_Visible(number, facet, cells))
+        return out
+
+    def band(self, first: int, last: int, seen: list[_Visible]) -> Image32:
+        """Light (last - first, w, 3) on the rows from ``first`` to before ``last``."""
+        height, width = self.rays.shape[:2]
+        low, high = max(first - 1, 0), min(last + 1, height)  # a row more for slopes and outlines
+        rays = self.rays[low:high]
+        direction = directions(rays, self.rotation)
+        start = self.start_m[low:high]
+        nearest = np.full(direction.shape[:2], np.inf)
+        what = np.full(direction.shape[:2], _SKY, np.int32)
+        here = [visible for visible in seen if self._cells(visible, low, high).any()]
+        for visible in here:
+            v, u = self._pixels(visible, low, high)
+            distance, s, t = visible.facet.hit(start[v], direction[v, u])
+            nearer = (distance < nearest[v, u]) & visible.facet.covers(s, t)
+            v, u = v[nearer], u[nearer]
+            nearest[v, u] = distance[nearer]
+            what[v, u] = visible.number
+        to_ground = self.ground.band(low, self.world.relief, start, direction, nearest)
+        what[to_ground < nearest] = _GROUND
+
         inner = slice(first - low, last - low)
-        slopes = [np.asarray(m) for ground in (east, north) for m in np.gradient(ground[low:high])]
-        e_v, e_u, n_v, n_u = (slope[inner] for slope in slopes)
-        e, n = east[first:last], north[first:last]
-        # Samples are half a pixel apart; the level's texels are as large as their spacing, for
-        # oblique views the geometric mean of both directions.
-        spacing = 0.5 * np.sqrt(np.abs(e_u * n_v - e_v * n_u) + 1e-12)
-        level = np.asarray(np.clip(np.log2(spacing / world.texel_m), 0, top), np.float32)
-        total = np.zeros((last - first, width, 3), np.float32)
-        for step in range(int(level.min()), min(int(np.ceil(level.max())), top) + 1):
-            weight = np.maximum(1 - np.abs(level - step), 0)
-            texel = world.texel_m * 2**step
-            for du in (-0.25, 0.25):
-                for dv in (-0.25, 0.25):
-                    # cv2.remap counts from the centre of the first texel: half a texel less.
-                    column = (e + du * e_u + dv * e_v + world.half_m) / texel - 0.5
-                    row = (world.half_m - n - du * n_u - dv * n_v) / texel - 0.5
-                    sample = cv2.remap(
-                        world.pyramid[step],
-                        column.astype(np.float32),
-                        row.astype(np.float32),
-                        cv2.INTER_LINEAR,
-                        borderMode=cv2.BORDER_REFLECT,
+        image = np.empty((last - first, width, 3), np.float32)
+        image[:] = _SKY_COLOUR
+        if (what[inner] == _GROUND).any():
+            reach = np.where(np.isfinite(to_ground), to_ground, 0.0)
+            east = start[:, 0:1] + reach * direction[..., 0]
+            north = start[:, 1:2] + reach * direction[..., 1]
+            e_v, e_u, n_v, n_u = (
+                np.asarray(slope)[inner] for ground in (east, north) for slope in np.gradient(ground)
+            )
+            colours = self.world.texture.colours(east[inner], north[inner], (e_u, e_v, n_u, n_v))
+            _haze(colours, reach[inner])
+            on_ground = (what[inner] == _GROUND)[..., None]
+            np.copyto(image, colours, where=on_ground)
+        if here:
+            # What a ray changes from pixel to pixel.
+            by_v, by_u = (np.asarray(slope) for slope in np.gradient(rays, axis=(0, 1)))
+            steps = tuple(slope @ self.rotation[:2] for slope in (by_u, by_v))
+            for visible in here:
+                v, u = np.nonzero(what[inner] == visible.number)
+                if len(v):
+                    at = v + (first - low)
+                    image[v, u] = _facet_colours(
+                        visible.facet, start[at], direction[at, u], (steps[0][at, u], steps[1][at, u])
                     )
-                    total += (0.25 * weight)[..., None] * sample
-        image[first:last] = total
-    return image
+            v, u = np.nonzero(_outlines(what)[inner])
+            if len(v):
+                at = v + (first - low)
+                cell = self.ground.cell_rows(v + first), self.ground.cell_columns(u)
+                behind = to_ground[at, u]
+                hidden = self.ground.care[cell] == 2  # searched only as far as the structure
+                behind[hidden], _ = trace(self.world.relief, start[at[hidden]], direction[at, u][hidden])
+                candidates = [(visible, visible.cells[cell]) for visible in here]
+                image[v, u] = self._in_parts(
+                    start[at],
+                    direction[at, u],
+                    (steps[0][at, u], steps[1][at, u]),
+                    behind,
+                    [(visible, pixels) for visible, pixels in candidates if pixels.any()],
+                )
+        return image
+
+    def _cells(self, visible: _Visible, low: int, high: int) -> NDArray[np.bool_]:
+        top, bottom = self.ground.cell_rows(np.array([low, high - 1]))
+        return visible.cells[top : bottom + 1]
+
+    def _pixels(self, visible: _Visible, low: int, high: int) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Rows (counted from ``low``) and columns of the pixels in a facet's cells."""
+        columns = self.ground.columns
+        used = np.flatnonzero(self._cells(visible, low, high).any(axis=0))
+        first, last = columns[used[0]], columns[used[-1] + 1] + 1
+        row = self.ground.cell_rows(np.arange(low, high))
+        v, u = np.nonzero(visible.cells[np.ix_(row, self.ground.cell_columns(np.arange(first, last)))])
+        return v, u + first
+
+    def _in_parts(
+        self,
+        start: FloatArray,
+        direction: FloatArray,
+        steps: tuple[FloatArray, FloatArray],
+        to_ground: FloatArray,
+        candidates: list[tuple[_Visible, NDArray[np.bool_]]],
+    ) -> Image32:
+        """Colours (n, 3) of pixels on outlines: the mean over their parts, each seen for itself.
+
+        candidates: facets and which of the n pixels are in their cells.
+        """
+        count = len(start)
+        parts = len(_PARTS) ** 2
+        # All parts of all pixels as one list: the first part of every pixel, then the second...
+        du, dv = (np.repeat(n.ravel(), count)[:, None] for n in np.meshgrid(_PARTS, _PARTS))
+        right, down, towards, start = (np.tile(n, (parts, 1)) for n in (*steps, direction, start))
+        towards = towards + du * right + dv * down
+        small = (0.25 * right, 0.25 * down)
+        nearest = np.tile(to_ground, parts)
+        below = np.flatnonzero(np.isfinite(nearest))
+        if len(below):
+            nearest[below] = newton(self.world.relief, start[below], towards[below], nearest[below])
+        what = np.where(np.isfinite(nearest), _GROUND, _SKY)
+        for visible, pixels in candidates:
+            here = np.flatnonzero(np.tile(pixels, parts))
+            distance, s, t = visible.facet.hit(start[here], towards[here])
+            nearer = (distance < nearest[here]) & visible.facet.covers(s, t)
+            nearest[here[nearer]], what[here[nearer]] = distance[nearer], visible.number
+        colours = np.empty((len(start), 3), np.float32)
+        colours[:] = _SKY_COLOUR
+        on = np.flatnonzero(what == _GROUND)
+        if len(on):
+            colours[on] = self._ground_colours(
+                start[on], towards[on], (small[0][on], small[1][on]), nearest[on]
+            )
+        for visible, _ in candidates:
+            on = np.flatnonzero(what == visible.number)
+            if len(on):
+                colours[on] = _facet_colours(
+                    visible.facet, start[on], towards[on], (small[0][on], small[1][on])
+                )
+        mean: Image32 = colours.reshape(parts, count, 3).mean(axis=0)
+        return mean
+
+    def _ground_colours(
+        self,
+        start: FloatArray,
+        direction: FloatArray,
+        steps: tuple[FloatArray, FloatArray],
+        distance: FloatArray,
+    ) -> Image32:
+        """Colours (n, 3) of single rays that hit the ground at ``distance`` (n,)."""
+        at = start + distance[:, None] * direction
+        _, by_east, by_north = self.world.relief.height_and_gradient(at[:, 0], at[:, 1])
+        normal = np.stack([-by_east, -by_north, np.ones(len(at))], axis=-1)
+        facing = np.minimum(np.sum(normal * direction, axis=-1), -1e-3)
+        slopes = []
+        for axis in (0, 1):
+            for step in steps:
+                moved = step - direction * (np.sum(normal * step, axis=-1) / facing)[:, None]
+                slopes.append(folded(distance * moved[:, axis]))
+        colours = self.world.texture.colours(
+            folded(at[:, 0]), folded(at[:, 1]), (slopes[0], slopes[1], slopes[2], slopes[3])
+        )
+        colours = colours.reshape(-1, 3)[: len(at)]
+        _haze(colours, distance)
+        return colours
+
+    def image_motion(self, velocity_m_s: FloatArray, seen: list[_Visible]) -> FloatArray:
+        """By how much the scene moves over the image at the map's nodes, px/s (a, b, 2)."""
+        rows, columns = self.ground.rows, self.ground.columns
+        nodes = self.rays[np.ix_(rows, columns)]
+        direction = directions(nodes, self.rotation)
+        inverse = self.ground.inverse.copy()
+        for visible in seen:
+            distance, s, t = visible.facet.hit(self.start_m[rows][:, None], direction)
+            nearer = (distance * inverse < 1) & visible.facet.covers(s, t)
+            inverse[nearer] = 1 / distance[nearer]
+        right, down, ahead = self.rotation @ velocity_m_s
+        # A point at depth Z moves by -v against the camera; its ray X / Z accordingly.
+        x_rate = (nodes[..., 0] * ahead - right) * inverse
+        y_rate = (nodes[..., 1] * ahead - down) * inverse
+        by_v, by_u = (np.asarray(slope) for slope in np.gradient(nodes, rows, columns, axis=(0, 1)))
+        determinant = by_u[..., 0] * by_v[..., 1] - by_v[..., 0] * by_u[..., 1]
+        return np.stack(
+            [
+                (x_rate * by_v[..., 1] - y_rate * by_v[..., 0]) / determinant,
+                (y_rate * by_u[..., 0] - x_rate * by_u[..., 1]) / determinant,
+            ],
+            axis=-1,
+        )
+
+
+def _facet_colours(
+    facet: Facet, start: FloatArray, direction: FloatArray, steps: tuple[FloatArray, FloatArray]
+) -> Image32:
+    """Colours (n, 3) of rays (n, 3) that hit a facet; ``steps``: their change per px right and down."""
+    distance, s, t = facet.hit(start, direction)
+    facing = direction @ facet.front
+    slopes = []
+    for axis in (facet.along, facet.up):
+        for step in steps:
+            moved = step @ axis - (direction @ axis) * (step @ facet.front) / facing
+            slopes.append(folded(distance * moved))
+    colours = facet.texture.colours(folded(s), folded(t), (slopes[0], slopes[1], slopes[2], slopes[3]))
+    assert colours.shape[:2] == as_list(len(s))
+    return colours.reshape(-1, 3)[: len(s)]
+
+
+def _outlines(what: NDArray[np.int32]) -> NDArray[np.bool_]:
+    """Pixels of a structure that have something else beside them, and what is beside them there."""
+    edge = np.zeros(what.shape, bool)
+    for one, other in ((np.s_[:-1], np.s_[1:]), (np.s_[:, :-1], np.s_[:, 1:])):
+        border = (what[one] != what[other]) & ((what[one] > _GROUND) | (what[other] > _GROUND))
+        edge[one] |= border
+        edge[other] |= border
+    return edge
+
+
+def _haze(colours: Image32, distance: FloatArray) -> None:
+    """Fade ground far away into the sky, so that the place where it ends is not seen."""
+    if float(distance.max()) > FARTHEST_M / 4:
+        clear = np.clip((FARTHEST_M - distance) / (0.75 * FARTHEST_M), 0, 1).astype(np.float32)[..., None]
+        colours *= clear
+        colours += _SKY_COLOUR * (1 - clear)
+
+
+def _ray_bounds(corners_m: FloatArray) -> tuple[FloatArray, FloatArray] | None:
+    """Least and largest rays (2,) of a polygon (p, 3) in the camera frame; None if it is behind."""
+    kept = []
+    for one, other in zip(corners_m, np.roll(corners_m, -1, axis=0), strict=True):
+        if one[2] >= _NEAREST_M:
+            kept.append(one)
+        if (one[2] >= _NEAREST_M) != (other[2] >= _NEAREST_M):
+            kept.append(one + (other - one) * ((_NEAREST_M - one[2]) / (other[2] - one[2])))
+    if not kept:
+        return None
+    points = np.array(kept)
+    rays = points[:, :2] / points[:, 2:]
+    return rays.min(axis=0), rays.max(axis=0)

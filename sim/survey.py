@@ -2,85 +2,51 @@
 
 from __future__ import annotations
 
-import json
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import asdict, dataclass, field, replace
-from datetime import datetime, timedelta
+from dataclasses import asdict, replace
 from functools import lru_cache
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from calib.camera import BrownCamera, FloatArray
+from calib.errors import InputError
 from calib.field import Lens
-from calib.frames import LocalFrame, rotation_tilt_deg
-from calib.photos.photo import GimbalAngles
-from sim.flights import Flight, flight_plan, jittered, phantom3
-from sim.pattern import Pattern, random_pattern
-from sim.photo_writer import PhotoTags, level_gimbal, write_photo
-from sim.render import RenderOptions, lens_rays, render
-from sim.world import World, make_world
+from calib.frames import rotation_tilt_deg
+from calib.photos.photo import CameraIdentity, Processing
+from sim.cameras import CameraModel, find_camera
+from sim.flights import Flight, jittered
+from sim.gps import GpsKind
+from sim.options import SurveyOptions
+from sim.pattern import random_pattern
+from sim.photo_writer import write_photo
+from sim.recipes import Recipe, find_recipe
+from sim.render import lens_rays, render
+from sim.shapes import looking_at
+from sim.sites import check_points, height_grid, site_world
+from sim.tags import seconds_of, tags_of
+from sim.truth import TRUTH_FILE, HeightGrid, SurveyTruth, read_truth, true_reference, write_truth
+from sim.world import World
 
-TRUTH_FILE = "truth.json"
+__all__ = [
+    "TRUTH_FILE",
+    "HeightGrid",
+    "SurveyOptions",
+    "SurveyTruth",
+    "lens_corrected",
+    "read_truth",
+    "true_reference",
+    "write_survey",
+]
 
-
-@dataclass(frozen=True)
-class SurveyOptions:
-    """How a rendered survey is flown and photographed.
-
-    ``camera``: true lens (default: the papers' Phantom 3 scaled to the size). ``pattern_px``: largest
-    length of a non-Brown pattern at 4000 px image width; ``aspect``: b1 / f. Errors of what is
-    written: ``gps_sigma_m`` horizontally, ``height_sigma_m`` vertically, ``gimbal_sigma_deg`` of
-    pitch and yaw. ``apart``: nadir and convergent photos go to folders of their own.
-    ``lens_corrected``: what the files say about it (see :func:`lens_corrected` for such a lens).
-    """
-
-    camera: BrownCamera | None = None
-    pattern_px: float = 0.0
-    aspect: float = 0.0
-    site_m: float = 120.0
-    relief_m: float = 2.0
-    gps_sigma_m: float = 2.5
-    height_sigma_m: float = 0.5
-    gimbal_sigma_deg: float = 1.0
-    position_jitter_m: float = 1.0
-    height_jitter_m: float = 0.5
-    attitude_jitter_deg: float = 1.0
-    speed_m_s: float = 8.0
-    render: RenderOptions = field(default_factory=RenderOptions)
-    apart: bool = False
-    texel_m: float | None = None
-    lens_corrected: bool = False
-    model: str = "FC300X"
-    serial: str | None = "FIELDCALSIM0001"
-    start: datetime = datetime(2026, 5, 12, 10, 30, 0, 250_000)  # local, as cameras write it
-    latitude_deg: float = 50.8310
-    longitude_deg: float = -0.1420
-    ground_altitude_m: float = 75.0
-
-
-@dataclass(frozen=True)
-class SurveyTruth:
-    """What a rendered survey was made from.
-
-    photos: k paths relative to the survey's folder; rotations_cam_from_world (k, 3, 3),
-    centres_m (k, 3), in the frame at ``origin_wgs84`` (ground level, x east, y north, z up).
-    """
-
-    recipe: str
-    seed: int
-    camera: BrownCamera
-    pattern: Pattern | None
-    photos: tuple[str, ...]
-    rotations_cam_from_world: FloatArray
-    centres_m: FloatArray
-    origin_wgs84: tuple[float, float, float]
-
-    def total_px(self, rays: FloatArray) -> FloatArray:
-        """Rays (..., 2) -> pixels (..., 2): the true total mapping."""
-        brown_px = self.camera.project(rays)
-        return brown_px if self.pattern is None else brown_px + self.pattern(brown_px)
+#: [C&D]'s site, for which the flights are written down.
+_SITE_M = 120.0
+#: Texture finer than this is nowhere needed; larger rasters than this take gigabytes.
+_LEAST_TEXEL_M, _LARGEST_SIDE = 0.02, 12_000
+#: A camera on its landing gear, above the ground.
+_GEAR_M = 0.3
 
 
 def lens_corrected(camera: BrownCamera, k1_left: float = -0.01) -> BrownCamera:
@@ -102,32 +68,58 @@ def write_survey(
     progress: Callable[[int, int], None] | None = None,
     workers: int = 2,
 ) -> SurveyTruth:
-    """Render a flight (:func:`sim.flights.flight_plan`) into ``out_dir`` and write its truth.
+    """Render a survey by name (:mod:`sim.recipes`) into ``out_dir`` and write its truth, last of all.
 
     ``progress`` is called with photos done and photos in all, from this thread.
 
     Raises:
-        KeyError: no recipe of that name.
-        OSError: a file cannot be written.
+        InputError: no such recipe, or options that it cannot take; one sentence.
+        OSError: a photo cannot be written. OutputError: the truth cannot be written.
     """
     options = options or SurveyOptions()
-    width, height = size
-    camera = options.camera or phantom3(width, height)
+    plan = find_recipe(recipe)
+    if options.camera_model is not None:
+        plan = replace(plan, camera=find_camera(options.camera_model))
+    scale = 1.0 if plan.fixed_scale else options.site_m / _SITE_M
+    camera = options.camera or plan.camera.at(*size)
     camera = replace(camera, b1_px=camera.b1_px + options.aspect * camera.f_px)
     pattern = None
     if options.pattern_px > 0:
         pattern = random_pattern(seed, camera, options.pattern_px * camera.width / 4000)
     flight = jittered(
-        flight_plan(recipe, options.site_m),
+        plan.flight(scale, options.photos),
         seed,
         options.position_jitter_m,
         options.height_jitter_m,
         options.attitude_jitter_deg,
     )
-    tags = _tags(flight, seed, options)
-    names = _names(flight, options.apart)
+    rendering = options.render or plan.camera.rendering
+    world = _world_of(plan, flight, camera, seed, scale, options)
+    if world.origin_wgs84 is not None:
+        latitude_deg, longitude_deg, altitude_m = world.origin_wgs84
+        options = replace(
+            options, latitude_deg=latitude_deg, longitude_deg=longitude_deg, ground_altitude_m=altitude_m
+        )
+    if options.take_off_photo:
+        flight = _on_the_ground(plan.outline_m[0] * scale, world) + flight
+    dji = plan.camera.dji_tags if options.dji_tags is None else options.dji_tags
+    speed_m_s = plan.speed_m_s if options.speed_m_s is None else options.speed_m_s
+    identity = _identity(plan.camera, camera, dji, options)
+    tags = tags_of(
+        flight,
+        seconds_of(flight, speed_m_s, plan.interval_s),
+        float(flight.centres_m[0, 2]) if options.take_off_photo else 0.0,
+        identity,
+        (plan.camera.focal_mm, plan.camera.focal_35mm),
+        dji,
+        seed,
+        options,
+    )
+    names = _names(flight, options.apart, "DJI_" if dji else "IMG_")
     for folder in {(out_dir / name).parent for name in names}:
         folder.mkdir(parents=True, exist_ok=True)
+    # The truth of an earlier survey here must not outlive its photos.
+    (out_dir / TRUTH_FILE).unlink(missing_ok=True)
     truth = SurveyTruth(
         recipe,
         seed,
@@ -137,11 +129,13 @@ def write_survey(
         flight.rotations_cam_from_world,
         flight.centres_m,
         (options.latitude_deg, options.longitude_deg, options.ground_altitude_m),
+        velocity_m_s=speed_m_s * flight.track,
+        readout_s=rendering.readout_s,
+        heights=height_grid(world, plan.outline_m * scale),
+        check_points_m=check_points(world, plan.outline_m * scale, seed),
+        take_off=names[:1] if options.take_off_photo else (),
+        identity=identity,
     )
-    # As fine as the pixels of the lowest photos.
-    gsd_m = float(flight.centres_m[:, 2].min()) / camera.f_px
-    texel_m = options.texel_m or max(gsd_m, 0.02)
-    world = _world(seed, 1.25 * options.site_m, texel_m, options.relief_m)
     rays = lens_rays(Lens(camera), pattern)
 
     def make(i: int) -> None:
@@ -150,106 +144,109 @@ def write_survey(
             rays,
             flight.rotations_cam_from_world[i],
             flight.centres_m[i],
-            velocity_m_s=options.speed_m_s * flight.track[i],
-            options=options.render,
+            velocity_m_s=speed_m_s * flight.track[i],
+            options=rendering,
             seed=seed * 1000 + i,
         )
         write_photo(out_dir / names[i], image, tags[i])
 
     # Threads, not processes: the work is done inside numpy and OpenCV, and the world is large.
-    with ThreadPoolExecutor(min(workers, 2)) as pool:
+    pool = ThreadPoolExecutor(min(workers, 2))
+    try:
         for done, _ in enumerate(pool.map(make, range(len(flight))), start=1):
             if progress is not None:
                 progress(done, len(flight))
-    _write_truth(out_dir / TRUTH_FILE, truth)
+    finally:
+        pool.shutdown(cancel_futures=True)  # After Ctrl-C only those that are begun are finished.
+    write_truth(out_dir / TRUTH_FILE, truth, _for_people(plan, options))
     return truth
 
 
+def _world_of(
+    plan: Recipe, flight: Flight, camera: BrownCamera, seed: int, scale: float, options: SurveyOptions
+) -> World:
+    if options.ortho is not None and options.dem is None:
+        raise InputError("An orthophoto needs the DEM that it lies on: give both.")
+    if options.dem is not None and plan.fixed_scale:
+        raise InputError(f"{plan.name} photographs a structure of its own: it cannot be flown over a DEM.")
+    half_m = plan.reach_m * scale
+    # As fine as the pixels of the nearest photos.
+    nearest_m = plan.nearest_m if plan.fixed_scale else float(flight.centres_m[:, 2].min())
+    least_m = 0.25 * _LEAST_TEXEL_M if plan.fixed_scale else _LEAST_TEXEL_M
+    texel_m = options.texel_m or max(nearest_m / camera.f_px, least_m, 2 * half_m / _LARGEST_SIDE)
+    kind = plan.world if options.dem is None else "dem"
+    return _world(
+        kind, seed, half_m, texel_m, options.relief_m, plan.roughness, scale, options.dem, options.ortho
+    )
+
+
 @lru_cache(maxsize=1)
-def _world(seed: int, half_m: float, texel_m: float, relief_m: float) -> World:
-    return make_world(seed, half_m=half_m, texel_m=texel_m, relief_m=relief_m)
+def _world(
+    kind: str,
+    seed: int,
+    half_m: float,
+    texel_m: float,
+    relief_m: float,
+    roughness: float,
+    scale: float,
+    dem: Path | None,
+    ortho: Path | None,
+) -> World:
+    return site_world(
+        kind,
+        seed,
+        half_m=half_m,
+        texel_m=texel_m,
+        relief_m=relief_m,
+        roughness=roughness,
+        scale=scale,
+        dem=dem,
+        ortho=ortho,
+    )
 
 
-def _names(flight: Flight, apart: bool) -> tuple[str, ...]:
+def _on_the_ground(launch_m: FloatArray, world: World) -> Flight:
+    """One photo from the launch point (east, north), towards the site's middle."""
+    ground = world.height_m(launch_m[:1], launch_m[1:])
+    centre = np.array([[launch_m[0], launch_m[1], float(ground[0]) + _GEAR_M]])
+    aim = np.array([0.0, 0.0, centre[0, 2] - 0.1 * float(np.hypot(*launch_m))])
+    return Flight(looking_at(centre, aim), centre, np.zeros((1, 3)))
+
+
+def _identity(model: CameraModel, camera: BrownCamera, dji: bool, options: SurveyOptions) -> CameraIdentity:
+    """What the files will say; over MAVLink nobody says what was done to the pixels."""
+    if options.lens_corrected is None and options.camera is None:
+        processing = model.processing
+    else:
+        processing = Processing.LENS_CORRECTED if options.lens_corrected else Processing.RAW
+    # DJI's name on a file without DJI's tags would be read as one of its early, lens-corrected JPEGs.
+    own_name = dji or not model.dji_tags
+    return CameraIdentity(
+        make=model.make if own_name else "Fieldcal",
+        model=options.model or (model.model if own_name else f"SIM-{model.model}"),
+        serial=options.serial,
+        width=camera.width,
+        height=camera.height,
+        processing=processing if dji else Processing.UNKNOWN,
+        focal_mm=model.focal_mm,
+    )
+
+
+def _names(flight: Flight, apart: bool, prefix: str) -> tuple[str, ...]:
     def folder(rotation: FloatArray) -> str:
         return ("convergent/" if rotation_tilt_deg(rotation) > 20 else "nadir/") if apart else ""
 
     return tuple(
-        f"{folder(r)}DJI_{i:04d}.JPG" for i, r in enumerate(flight.rotations_cam_from_world, start=1)
+        f"{folder(r)}{prefix}{i:04d}.JPG" for i, r in enumerate(flight.rotations_cam_from_world, start=1)
     )
 
 
-def _tags(flight: Flight, seed: int, options: SurveyOptions) -> list[PhotoTags]:
-    """What the vehicle writes: positions and angles with their errors, times from the way flown."""
-    rng = np.random.default_rng([seed, 7])
-    k = len(flight)
-    sigma = [options.gps_sigma_m, options.gps_sigma_m, options.height_sigma_m]
-    error = rng.normal(size=(k, 3)) * sigma
-    frame = LocalFrame(options.latitude_deg, options.longitude_deg, options.ground_altitude_m)
-    geodetic = frame.geodetic(flight.centres_m + error)
-    way_m = np.linalg.norm(np.diff(flight.centres_m, axis=0, prepend=flight.centres_m[:1]), axis=1)
-    seconds = np.cumsum(np.maximum(way_m / max(options.speed_m_s, 1.0), 2.0))
-    gimbals = [level_gimbal(rotation) for rotation in flight.rotations_cam_from_world]
-    turned = options.gimbal_sigma_deg * rng.normal(size=(k, 2))
-    return [
-        PhotoTags(
-            time=options.start + timedelta(seconds=round(float(s), 3)),
-            latitude_deg=float(latitude),
-            longitude_deg=float(longitude),
-            altitude_m=float(altitude),
-            height_above_launch_m=float(centre[2] + wrong[2]),
-            gimbal=GimbalAngles(gimbal.yaw_deg + turn[0], max(gimbal.pitch_deg + turn[1], -90.0), 0.0),
-            flight=GimbalAngles(gimbal.yaw_deg + turn[0], -6.0, 0.5),
-            model=options.model,
-            serial=options.serial,
-            lens_corrected=options.lens_corrected,
-        )
-        for s, (latitude, longitude, altitude), centre, wrong, gimbal, turn in zip(
-            seconds, geodetic, flight.centres_m, error, gimbals, turned, strict=True
-        )
-    ]
-
-
-def _write_truth(path: Path, truth: SurveyTruth) -> None:
-    pattern = truth.pattern
-    content = {
-        "schema": "fieldcal.sim/1",
-        "recipe": truth.recipe,
-        "seed": truth.seed,
-        "camera": asdict(truth.camera),
-        "pattern_coefficients_px": None if pattern is None else pattern.coefficients.tolist(),
-        "origin_wgs84": truth.origin_wgs84,
-        "photos": [
-            {"name": name, "centre_m": centre, "rotation_cam_from_world": rotation}
-            for name, centre, rotation in zip(
-                truth.photos,
-                truth.centres_m.tolist(),
-                truth.rotations_cam_from_world.tolist(),
-                strict=True,
-            )
-        ],
+def _for_people(plan: Recipe, options: SurveyOptions) -> dict[str, Any]:
+    """What the survey was asked for, for those who read the file."""
+    asked = {
+        key: value if isinstance(value, (int, float, str, dict, type(None))) else str(value)
+        for key, value in asdict(replace(options, camera=None)).items()
     }
-    path.write_text(json.dumps(content, indent=1), encoding="utf-8")
-
-
-def read_truth(folder: Path) -> SurveyTruth:
-    """The truth of a survey that :func:`write_survey` wrote into ``folder``.
-
-    Raises:
-        FileNotFoundError: there is none, or it was not finished.
-    """
-    content = json.loads((folder / TRUTH_FILE).read_text(encoding="utf-8"))
-    camera = BrownCamera(**content["camera"])
-    coefficients = content["pattern_coefficients_px"]
-    pattern = None if coefficients is None else Pattern(camera.width, camera.height, np.array(coefficients))
-    latitude, longitude, altitude = content["origin_wgs84"]
-    return SurveyTruth(
-        content["recipe"],
-        content["seed"],
-        camera,
-        pattern,
-        tuple(photo["name"] for photo in content["photos"]),
-        np.array([photo["rotation_cam_from_world"] for photo in content["photos"]]),
-        np.array([photo["centre_m"] for photo in content["photos"]]),
-        (latitude, longitude, altitude),
-    )
+    if options.gps is not GpsKind.RTK:
+        del asked["rtk_sigma_m"]
+    return {"summary": plan.summary, "notes": plan.notes, "options": asked}

@@ -6,33 +6,52 @@ from dataclasses import dataclass, replace
 
 import cv2
 import numpy as np
-from numpy.typing import NDArray
 
 from calib.camera import FloatArray
-from sim.relief import Relief
-
-ByteImage = NDArray[np.uint8]
-_Image32 = NDArray[np.float32]
+from sim.facet import Facet, dotted
+from sim.relief import HeightField, Relief
+from sim.texture import ByteImage, Image32, Texture, pyramid_of
 
 #: The raster's side is a multiple of this, so that every level of the pyramid covers the same ground.
-_LEVELS = 6
+LEVELS = 6
 
 
 @dataclass(frozen=True)
 class World:
-    """Relief and texture around the origin; x east, y north, z up (metres).
+    """Relief, texture and structures around the origin; x east, y north, z up (metres).
 
     ``pyramid``: RGB rasters (side, side, 3), row 0 northernmost, each level half the one before.
     The raster reaches ``half_m`` east, west, north and south; beyond it the texture is mirrored.
+    ``facets``: structures that stand on the ground. ``detail_seed``: see :class:`~sim.texture.Texture`.
+    ``origin_wgs84``: latitude, longitude (deg) and height (m, as the DEM has it) of the origin, where
+    the world has a place on Earth.
     """
 
-    relief: Relief
+    relief: HeightField
     pyramid: tuple[ByteImage, ...]
     texel_m: float
+    facets: tuple[Facet, ...] = ()
+    detail_seed: int | None = None
+    origin_wgs84: tuple[float, float, float] | None = None
 
     @property
     def half_m(self) -> float:
         return 0.5 * self.texel_m * len(self.pyramid[0])
+
+    @property
+    def texture(self) -> Texture:
+        """The ground's texture; its s is east, its t north."""
+        return Texture(self.pyramid, self.texel_m, -self.half_m, self.half_m, self.detail_seed)
+
+    def height_m(self, east_m: FloatArray, north_m: FloatArray, *, structures: bool = False) -> FloatArray:
+        """Height of the ground at positions of any (equal) shape; with ``structures`` of the highest
+        thing there, as a roof."""
+        east, north = np.asarray(east_m, float), np.asarray(north_m, float)
+        height = self.relief.height_m(east, north)
+        if structures:
+            for facet in self.facets:
+                height = np.maximum(height, facet.height_m(east, north))
+        return height
 
     def points_m(self, east_north_m: FloatArray) -> FloatArray:
         """Ground points (n, 3) at positions (n, 2)."""
@@ -42,26 +61,21 @@ class World:
     def with_dots(self, east_north_m: FloatArray, sigma_m: float) -> World:
         """Grey ground with white round dots (Gaussian of ``sigma_m``) at positions (n, 2): for tests."""
         side = self.pyramid[0].shape[0]
-        canvas = np.full((side, side), 60.0)
-        reach = int(np.ceil(5 * sigma_m / self.texel_m))
-        offsets = np.arange(-reach, reach + 1)
-        for east, north in east_north_m:
-            column = (east + self.half_m) / self.texel_m - 0.5
-            row = (self.half_m - north) / self.texel_m - 0.5
-            columns, rows = round(float(column)) + offsets, round(float(row)) + offsets
-            scale = self.texel_m / sigma_m
-            along = np.exp(-0.5 * ((columns - column) * scale) ** 2)
-            down = np.exp(-0.5 * ((rows - row) * scale) ** 2)
-            canvas[rows[0] : rows[-1] + 1, columns[0] : columns[-1] + 1] += 190 * np.outer(down, along)
-        grey = np.clip(np.rint(canvas), 0, 255).astype(np.uint8)
-        return replace(self, pyramid=_pyramid(np.repeat(grey[..., None], 3, axis=2)))
+        where = np.column_stack([east_north_m[:, 0] + self.half_m, self.half_m - east_north_m[:, 1]])
+        grey = dotted((side, side), where / self.texel_m, sigma_m / self.texel_m)
+        return replace(self, pyramid=pyramid_of(grey, LEVELS), detail_seed=None)
 
 
 def make_world(seed: int, *, half_m: float = 150.0, texel_m: float = 0.08, relief_m: float = 2.0) -> World:
-    """A piece of farmland, the same for the same arguments; rendering it takes about a second per
+    """A piece of farmland, the same for the same arguments; making it takes about a second per
     ten million texels."""
+    return World(Relief.random(seed, relief_m), pyramid_of(farmland(seed, half_m, texel_m), LEVELS), texel_m)
+
+
+def farmland(seed: int, half_m: float, texel_m: float) -> ByteImage:
+    """Colours (side, side, 3) of fields, paths, bushes and stones, row 0 northernmost."""
     rng = np.random.default_rng([seed, 5])
-    step = 2**_LEVELS
+    step = 2**LEVELS
     side = step * int(np.ceil(2 * half_m / texel_m / step))
     canvas = _fields(rng, side, texel_m)
     shade = _multi_scale(rng, side, texel_m)
@@ -71,20 +85,10 @@ def make_world(seed: int, *, half_m: float = 150.0, texel_m: float = 0.08, relie
     _paths(rng, canvas, texel_m)
     _bushes(rng, canvas, texel_m)
     _stones(rng, canvas, texel_m)
-    return World(Relief.random(seed, relief_m), _pyramid(canvas), texel_m)
+    return canvas
 
 
-def _pyramid(base: ByteImage) -> tuple[ByteImage, ...]:
-    levels = [base]
-    for _ in range(_LEVELS - 1):
-        half = levels[-1].shape[0] // 2
-        levels.append(
-            np.asarray(cv2.resize(levels[-1], (half, half), interpolation=cv2.INTER_AREA), np.uint8)
-        )
-    return tuple(levels)
-
-
-def _noise(rng: np.random.Generator, side: int, cells: int) -> _Image32:
+def _noise(rng: np.random.Generator, side: int, cells: int) -> Image32:
     """Smooth noise of unit variance at the nodes, ``cells`` of them along each side."""
     nodes = rng.standard_normal((cells + 2, cells + 2), dtype=np.float32)
     if cells + 2 >= side:
@@ -92,7 +96,7 @@ def _noise(rng: np.random.Generator, side: int, cells: int) -> _Image32:
     return np.asarray(cv2.resize(nodes, (side, side), interpolation=cv2.INTER_CUBIC), np.float32)
 
 
-def _multi_scale(rng: np.random.Generator, side: int, texel_m: float) -> _Image32:
+def _multi_scale(rng: np.random.Generator, side: int, texel_m: float) -> Image32:
     """Brightness at all scales from 60 m down to a texel; neighbouring scales alike in strength."""
     total = np.zeros((side, side), np.float32)
     size = 60.0
@@ -167,7 +171,8 @@ def _bushes(rng: np.random.Generator, canvas: ByteImage, texel_m: float) -> None
 def _stones(rng: np.random.Generator, canvas: ByteImage, texel_m: float) -> None:
     side = canvas.shape[0]
     area = (side * texel_m) ** 2
-    for _ in range(int(area / 5)):
+    # Those that a texel swallows are left out of wide, coarse worlds.
+    for _ in range(int(area / 5 * min(1.0, (0.16 / texel_m) ** 2))):
         at = rng.uniform(0, side, 2)
         radius = 0.06 * rng.pareto(2.2) + 0.08  # many small, few large
         if radius > 0.6:

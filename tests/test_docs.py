@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import contextlib
+import dataclasses
 import importlib
 import io
 import json
@@ -14,6 +15,7 @@ from pathlib import Path
 import pytest
 
 from calib import limits
+from calib.camera import BrownCamera
 from calib.equifinal import STRICT_TOLERANCE_PX
 from calib.errors import FieldcalError
 from calib.export import CALIBRATIONS, GEO, METASHAPE_REFERENCE, NOT_WRITTEN
@@ -34,6 +36,8 @@ COMMANDS = (
     ("equifinal",),
     ("cameras",),
     *(("cameras", sub) for sub in ("list", "show", "compare", "import", "export")),
+    ("sim",),
+    *(("sim", sub) for sub in ("list", "survey")),
 )
 #: Options of other programs that the docs mention.
 FOREIGN = {"--cameras", "--geo", "--strict"}
@@ -126,6 +130,7 @@ def test_no_option_is_invented(name: str, options: dict[tuple[str, ...], set[str
         ("docs/check.md", [("check",)]),
         ("docs/equifinal.md", [("equifinal",)]),
         ("docs/cameras.md", [("cameras", "import"), ("cameras", "export")]),
+        ("docs/simulator.md", [("sim", "survey")]),
     ],
 )
 def test_no_option_is_left_out(
@@ -142,7 +147,7 @@ def test_shown_commands_use_options_of_their_own(name: str, options: dict[tuple[
         r"^(?:\$ )?fieldcal (.*)$", "\n".join(b for _, b in _FENCE.findall(_text(name))), re.M
     ):
         words = line.split()
-        command = tuple(words[: 2 if words[0] == "cameras" else 1])
+        command = tuple(words[: 2 if words[0] in ("cameras", "sim") else 1])
         assert command in COMMANDS, line
         assert set(_OPTION.findall(line)) <= options[command], line
 
@@ -225,6 +230,14 @@ def test_formats_and_exports_are_all_listed() -> None:
         "colmap": "exports/colmap",
         "not_written": f"exports/{NOT_WRITTEN}",
     }
+
+
+def test_keys_of_truth_are_all_listed() -> None:
+    assert cli.run(["sim", "survey", "orbit", "--photos", "4", "--size", "160x120", "--out", "x"]) == 0
+    written = json.loads(Path("x/truth.json").read_text(encoding="utf-8"))
+    rows = _rows("docs/simulator.md", "| key | what |")
+    assert {key for row in rows for key in re.findall(r"[a-z0-9_]+", row[0])} == set(written) - {"schema"}
+    assert set(written["camera"]) == {field.name for field in dataclasses.fields(BrownCamera)}
 
 
 # --- Links and places ----------------------------------------------------------------------------
