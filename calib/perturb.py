@@ -22,8 +22,8 @@ from calib.field import LENS_NAMES, Lens
 from calib.similarity import fit_similarity
 
 _HELD = np.zeros(len(LENS_NAMES), bool)
-#: Half a hundredth of a sigma from the optimum is near enough; few steps reach it from a neighbour.
-_DECREMENT, _STEPS = 1e-4, 12
+#: A thirtieth of a sigma from the optimum is near enough; few steps reach it from a neighbour.
+_DECREMENT, _STEPS = 1e-3, 40
 
 
 @dataclass(frozen=True)

@@ -18,8 +18,6 @@ from calib.solution import Observations
 
 #: [C&D] methods: 12 pairs, about 10 m away, axes at 45 degrees to the wall; overlap above 80 %.
 PAIRS, DISTANCE_M, OBLIQUE_DEG, OVERLAP = 12, 10.0, 45.0, 0.8
-#: Views flatter than this on the wall are not matched.
-MOST_INCIDENCE_DEG = 75.0
 _SIGMA_PX = 0.5
 
 
@@ -31,6 +29,8 @@ class Wall:
     centres_m: FloatArray
     width_m: float
     height_m: float
+    #: Views flatter than this on the wall are not matched.
+    most_incidence_deg: float = 75.0
 
 
 def wall_poses(camera: BrownCamera, pairs: int = PAIRS, distance_m: float = DISTANCE_M) -> Wall:
@@ -71,7 +71,8 @@ def wall_observations(
     edge = edge[np.isfinite(edge).all(axis=1)]
     # Rays far outside are left out before the radial polynomial can fold them back in.
     limit = 1.02 * np.abs(edge).max(axis=0, initial=0.0)
-    steep = -offset[..., 2] > np.cos(np.radians(MOST_INCIDENCE_DEG)) * np.linalg.norm(offset, axis=-1)
+    least = np.cos(np.radians(wall.most_incidence_deg))
+    steep = -offset[..., 2] > least * np.linalg.norm(offset, axis=-1)
     point, photo = np.nonzero((z > 0) & steep & (np.abs(x) < limit[0] * z) & (np.abs(y) < limit[1] * z))
     depth = z[point, photo]
     pixels = camera.project(np.stack([x[point, photo] / depth, y[point, photo] / depth], axis=-1))

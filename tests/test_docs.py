@@ -32,6 +32,7 @@ COMMANDS = (
     (),
     ("check",),
     ("equifinal",),
+    ("perturb",),
     ("cameras",),
     *(("cameras", sub) for sub in ("list", "show", "compare", "import", "export")),
 )
@@ -125,6 +126,7 @@ def test_no_option_is_invented(name: str, options: dict[tuple[str, ...], set[str
     [
         ("docs/check.md", [("check",)]),
         ("docs/equifinal.md", [("equifinal",)]),
+        ("docs/perturb.md", [("perturb",)]),
         ("docs/cameras.md", [("cameras", "import"), ("cameras", "export")]),
     ],
 )
