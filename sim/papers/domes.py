@@ -129,7 +129,7 @@ def _profiles(place: Place, flown: Flown) -> Path:
             axis.plot(where, middle, dash, color=colour, lw=1.8, label=label)
             if model != "line":
                 axis.fill_between(where, low, high, color=colour, alpha=0.18)
-        axis.set(title=flight, ylim=(-45, 45))
+        axis.set(title=flight, ylim=(-32, 32))
         if flight in ("A1", "B1"):
             axis.set_ylabel("error cm")
         if flight[0] == "B":

@@ -18,10 +18,12 @@ from sim.papers.published import SENN
 
 #: [SEN] 2.1: the building, m.
 BUILDING_M = (12.5, 7.5, 10.5)
-#: Orbits: distance from the building's middle and heights of the camera, m (assumed).
-DISTANCES_M, HEIGHTS_M = (20.0, 23.0, 26.0), (3.0, 8.0, 14.0)
+#: Orbits: distance from the building's middle, so that it fills the narrower sensor too, and heights of
+#: the camera, m (both assumed).
+DISTANCES_M = {"thermal": (20.0, 23.0, 26.0), "RGB": (13.0, 15.0, 17.0)}
+HEIGHTS_M = (3.0, 8.0, 14.0)
 #: Noise of a marker, px (1/2 px of natural features, [SEN] discussion), and of a scanned target, m.
-MARKER_PX, TARGET_M = 0.5, 0.004
+MARKER_PX, TARGET_M = 0.5, 0.003
 #: Release of the parameters ([SEN] 2.3); f joins with the radial terms.
 STAGES = (
     ("poses", ()),
@@ -67,7 +69,7 @@ def fly(name: str, seed: int) -> Orbit:
     spots, normals = _targets(theirs.targets, rng)
     k = theirs.images
     azimuth = 2 * np.pi * (np.arange(k) + rng.uniform(-0.2, 0.2, k)) / k
-    distance = np.array(DISTANCES_M)[np.arange(k) % 3]
+    distance = np.array(DISTANCES_M[name.split()[0]])[np.arange(k) % 3]
     height = np.array(HEIGHTS_M)[(np.arange(k) // 2) % 3]
     centres = np.column_stack([distance * np.sin(azimuth), distance * np.cos(azimuth), height])
     rotations = _looking_at(centres, np.array([0, 0, BUILDING_M[2] / 2]) + rng.normal(0, 0.5, (k, 3)))
