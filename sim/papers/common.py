@@ -63,12 +63,15 @@ def computed(
     raw = place.raw / f"{name}.jsonl"
     done: dict[str, dict[str, Any]] = {}
     if raw.exists():
-        for line in raw.read_text(encoding="utf-8").splitlines():
+        text = raw.read_text(encoding="utf-8")
+        for line in text.splitlines():
             try:
                 entry = json.loads(line)
             except json.JSONDecodeError:
                 continue  # A run that was stopped may leave half a line.
             done[entry["case"]] = entry["result"]
+        if text and not text.endswith("\n"):
+            raw.write_text(text + "\n", encoding="utf-8")
     keys = [json.dumps(asdict(case)) for case in cases]  # type: ignore[call-overload]
     todo = [(key, case) for key, case in zip(keys, cases, strict=True) if key not in done]
     if todo:
