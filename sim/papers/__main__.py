@@ -60,7 +60,7 @@ def page(place: Place, plan: Plan) -> str:
         "",
         *note,
     ]
-    return "\n".join(head) + "\n".join(one.text for one in sections).rstrip() + "\n"
+    return "\n".join([*head, ""]) + "\n".join(one.text for one in sections).rstrip() + "\n"
 
 
 def main() -> None:

@@ -19,7 +19,8 @@ def section(place: Place, seed: int = 0, repeats: int = 20) -> Section:
     page = Section("7. Calibration on a building: [SEN]")
     page.say(
         "Their building (12.5 x 7.5 x 10.5 m) with targets on its four walls, photos on orbits of three "
-        "distances and heights, images, targets and marks as many as theirs; marker noise 0.5 px (what they "
+        "distances and heights, images and targets as many as theirs, marks at most as many; marker "
+        "noise 0.5 px (what they "
         "call realistic for natural features), scanned targets good to 3 mm, held. A quarter of the targets "
         "are check points. Lenses: the library's rows of Table 2."
     )

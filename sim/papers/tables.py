@@ -147,7 +147,7 @@ def section_3(flown: Flown) -> Section:
         "rolling shutter would. The 0.13 % by which A3, B3 and B4 miss the wall in the paper is what a lens "
         f"error of 1.5 px does to Brown with us (median {100 * np.median(others[0]):.2f} % on A3) while "
         "its own "
-        f"sigma says {sigma_a3:.3f} %: no chance, and not seen from inside. The ground of our site A "
+        f"sigma says {sigma_a3:.3f} %: not chance, and not seen from inside. The ground of our site A "
         "(6 m of relief) fixes f better than our flat site B does, which is why A1 and A2 fare better.",
     )
     return page
