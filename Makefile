@@ -4,7 +4,7 @@ VENV := .venv
 BIN := $(VENV)/bin
 STAMP := $(VENV)/.stamp
 
-.PHONY: demo test lint bench campaign lock clean
+.PHONY: demo test lint bench campaign paper lock clean
 
 $(STAMP): requirements.lock pyproject.toml
 	$(PYTHON) -m venv $(VENV)
@@ -22,13 +22,16 @@ lint: $(STAMP)
 	$(BIN)/lint-imports
 
 test: lint
-	$(BIN)/python -m pytest
+	$(BIN)/python -m pytest -n auto --dist loadfile
 
 bench: $(STAMP)
 	$(BIN)/python -m benchmarks
 
 campaign: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.campaign
+
+paper: $(STAMP)
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sim.papers
 
 # For maintainers: renew the lock (uv from the package registry); no index or host is written into it.
 lock:

@@ -41,6 +41,7 @@ def _app() -> typer.Typer:
     from daemon.cli_check import check
     from daemon.cli_equifinal import equifinal
     from daemon.cli_sim import app as sim_app
+    from daemon.cli_perturb import perturb_command
 
     app = typer.Typer(
         name="fieldcal",
@@ -54,6 +55,7 @@ def _app() -> typer.Typer:
     app.add_typer(cameras_app, name="cameras")
     app.command("equifinal")(equifinal)
     app.add_typer(sim_app, name="sim")
+    app.command("perturb")(perturb_command)
     return app
 
 

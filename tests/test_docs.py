@@ -34,6 +34,7 @@ COMMANDS = (
     (),
     ("check",),
     ("equifinal",),
+    ("perturb",),
     ("cameras",),
     *(("cameras", sub) for sub in ("list", "show", "compare", "import", "export")),
     ("sim",),
@@ -129,6 +130,7 @@ def test_no_option_is_invented(name: str, options: dict[tuple[str, ...], set[str
     [
         ("docs/check.md", [("check",)]),
         ("docs/equifinal.md", [("equifinal",)]),
+        ("docs/perturb.md", [("perturb",)]),
         ("docs/cameras.md", [("cameras", "import"), ("cameras", "export")]),
         ("docs/simulator.md", [("sim", "survey")]),
     ],
