@@ -29,6 +29,7 @@ bench: $(STAMP)
 
 campaign: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.campaign
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.verdict
 
 # For maintainers: renew the lock (uv from the package registry); no index or host is written into it.
 lock:
