@@ -4,43 +4,27 @@ from __future__ import annotations
 
 import itertools
 import math
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from pathlib import Path
-
-import numpy as np
 
 import benchmarks.verdict_score as verdict_score
 from benchmarks.verdict_cases import FACTORS, PAPERS
 from benchmarks.verdict_figures import figures
+from benchmarks.verdict_precision import domes, far_off, sigmas
 from benchmarks.verdict_rates import (
     VERDICTS,
     cannot_tell,
     counts,
-    dome_rate,
     false_refly,
     false_trust,
     rate,
-    rms,
     rules,
     trust_that_is_wrong,
     why_trust_wrong,
 )
 from benchmarks.verdict_score import Score
+from benchmarks.verdict_tables import WORST, median, table
 from calib.limits import FOCAL_SIGMA_PERCENT
-
-WORST = 25
-#: The level of the GPS that claims more than it holds.
-LATE = "RTK, late and offset"
-
-
-def _table(header: Sequence[str], rows: Sequence[Sequence[object]]) -> list[str]:
-    lines = [header, ["---"] * len(header), *rows]
-    return [f"| {' | '.join(str(cell) for cell in line)} |" for line in lines] + [""]
-
-
-def _median(values: Iterable[float], digits: int = 2) -> str:
-    finite = [v for v in values if math.isfinite(v)]
-    return f"{np.median(finite):.{digits}f}" if finite else "–"
 
 
 def headline(design: Sequence[Score], papers: Sequence[Score]) -> list[str]:
@@ -51,7 +35,7 @@ def headline(design: Sequence[Score], papers: Sequence[Score]) -> list[str]:
         ("false REFLY, of flights where REFLY would be false", "3 %", false_refly),
         ("CANNOT_TELL, where the photos can fix f and a reference is there", "10 %", cannot_tell),
     ]
-    return _table(
+    return table(
         ("what", "target at most", "balanced design", "the papers' flights"),
         [(name, target, of(design), of(papers)) for name, target, of in rows],
     )
@@ -82,7 +66,7 @@ def factors(design: Sequence[Score]) -> list[str]:
             "false REFLY",
             "CANNOT_TELL where f can be fixed",
         )
-        lines += _table(header, rows)
+        lines += table(header, rows)
     return lines
 
 
@@ -95,8 +79,8 @@ def of_the_papers(papers: Sequence[Score]) -> list[str]:
         group = [s for s in papers if s.case.lens == lens and s.case.pattern == "A" + name[1]]
         want = wanted.get(name)
         met = "–" if want is None else rate(group, lambda s, want=want: s.verdict == want)  # type: ignore[misc]
-        sizes = _median((abs(s.df_percent) for s in group), 3)
-        sigma = _median((s.sigma_percent for s in group), 3)
+        sizes = median((abs(s.df_percent) for s in group), 3)
+        sigma = median((s.sigma_percent for s in group), 3)
         rows.append(
             (
                 name,
@@ -106,7 +90,7 @@ def of_the_papers(papers: Sequence[Score]) -> list[str]:
                 f"{sizes} / {sigma}",
             )
         )
-    return _table(
+    return table(
         ("flight", *VERDICTS, "wanted", "as wanted", "median abs error of f / sigma, %"),
         rows,
     )
@@ -125,96 +109,23 @@ def by_knowledge(scores: Sequence[Score]) -> list[str]:
         met = rate(group, lambda s: s.verdict == "TRUST")
         rows.append((f"{low:.3f}–{high:.3f}", len(group), ", ".join(map(str, counts(group))), met))
     header = ("ideal sigma of f, %", "flights", "TRUST, REFLY, CANNOT_TELL, none", "trusted")
-    return _table(header, rows)
+    return table(header, rows)
 
 
 def causes(scores: Sequence[Score]) -> list[str]:
     """Which rules were behind wrong and open verdicts."""
     wrong = [s for s in scores if s.false_trust]
     lines = ["False TRUST, by what was overlooked:", ""]
-    lines += _table(("overlooked", "flights"), rules(wrong, lambda s: (why_trust_wrong(s),)))
+    lines += table(("overlooked", "flights"), rules(wrong, lambda s: (why_trust_wrong(s),)))
     lines += ["False REFLY, by the rules that were flagged:", ""]
-    lines += _table(("flagged", "flights"), rules([s for s in scores if s.false_refly], lambda s: s.flagged))
+    lines += table(("flagged", "flights"), rules([s for s in scores if s.false_refly], lambda s: s.flagged))
     lines += [
         "CANNOT_TELL where the photos can fix f, by what was left open (or, of alignment, flagged):",
         "",
     ]
     silent = [s for s in scores if s.should_tell and s.verdict == "CANNOT_TELL"]
-    lines += _table(("open", "flights"), rules(silent, lambda s: (*s.flagged, *s.open)))
+    lines += table(("open", "flights"), rules(silent, lambda s: (*s.flagged, *s.open)))
     return lines
-
-
-def sigmas(scores: Sequence[Score]) -> list[str]:
-    """Errors in units of the stated sigma; 1 where it is honest, below where it is too careful."""
-
-    def row(label: str, group: Sequence[Score]) -> tuple[object, ...]:
-        cells: list[str] = []
-        for name in ("z_f", "z_k1", "z_k2", "z_k3"):
-            size, spread, n = rms(float(getattr(s, name)) for s in group)
-            cells.append(f"{size:.2f} ± {spread:.2f}" if n else "–")
-        known = [s for s in group if math.isfinite(s.df_percent)]
-        held = rate(known, lambda s: abs(s.z_f) <= 3)
-        growth = _median(s.sigma_percent / s.formal_percent for s in known)
-        ideal = _median(s.sigma_percent / s.ideal_sigma_percent for s in known)
-        return (label, len(known), *cells, held, growth, ideal)
-
-    undisturbed = [s for s in scores if s.case.error == "none"]
-    # Positions that are worse than they claim are an error of their own.
-    clean = [s for s in undisturbed if s.case.gps != LATE]
-    rows = [row("no model error, honest GPS: all", clean)]
-    rows += [
-        row(f"no model error: {p}", [s for s in clean if s.case.pattern == p]) for p in FACTORS["pattern"]
-    ]
-    for error in list(FACTORS["error"])[1:]:
-        rows.append(row(error, [s for s in scores if s.case.error == error and s.case.gps != LATE]))
-    rows.append(row(LATE, [s for s in scores if s.case.gps == LATE]))
-    header = (
-        "group",
-        "flights",
-        "f",
-        "K1",
-        "K2",
-        "K3",
-        "f within 3 sigma",
-        "sigma / formal",
-        "sigma / ideal",
-    )
-    return _table(header, rows)
-
-
-def domes(scores: Sequence[Score]) -> list[str]:
-    """Predicted against true."""
-    rows: list[tuple[object, ...]] = []
-    groups: list[tuple[str, Sequence[Score]]] = [("all", scores)]
-    groups += [(e, [s for s in scores if s.case.error == e]) for e in FACTORS["error"]]
-    groups += [(p, [s for s in scores if s.case.pattern == p]) for p in FACTORS["pattern"]]
-    for label, group in groups:
-        true = [s for s in group if s.case.reference == "true" and math.isfinite(s.true_dome_percent)]
-        apart = [
-            (s.predicted_dome_percent - s.true_dome_percent) / max(s.sigma_dome_percent, 1e-9) for s in true
-        ]
-        size = rms(apart)[0]
-        rows.append((label, dome_rate(group), dome_rate(group, 0.1), f"{size:.2f}" if true else "–"))
-    return _table(
-        ("group", "within 25 % or 2 sigma", "the same, domes over 0.1 % H", "rms difference in sigmas"), rows
-    )
-
-
-def far_off(scores: Sequence[Score]) -> list[str]:
-    """Calibrations that are farther off than their sigmas allow, whatever the verdict."""
-    far = sorted((s for s in scores if abs(s.z_f) > 3), key=lambda s: -abs(s.z_f))
-    rows = [
-        (
-            s.case.number,
-            s.verdict,
-            f"{s.case.pattern}, {s.case.gps}, {s.case.noise}, {s.case.error}",
-            f"{s.df_percent:+.3f} ± {s.sigma_percent:.3f}",
-            f"{s.ideal_sigma_percent:.3f}",
-            f"{s.z_f:+.1f}",
-        )
-        for s in far[:WORST]
-    ]
-    return _table(("case", "verdict", "flight", "error of f, %", "ideal sigma, %", "sigmas"), rows)
 
 
 def severity(one: Score) -> float:
@@ -248,7 +159,7 @@ def worst(scores: Sequence[Score]) -> list[str]:
         if len(wrong) > WORST
         else []
     )
-    return _table(("case", "verdict", "flight", "error of f, %", "true dome, % H", "why"), rows) + more
+    return table(("case", "verdict", "flight", "error of f, %", "true dome, % H", "why"), rows) + more
 
 
 def markdown(scores: Sequence[Score]) -> str:
@@ -312,7 +223,7 @@ def markdown(scores: Sequence[Score]) -> str:
         "## The worst cases",
         "",
         *worst(scores),
-        f"{sum(cost) / 3600:.1f} CPU-hours in all, {_median(cost, 1)} s a flight.",
+        f"{sum(cost) / 3600:.1f} CPU-hours in all, {median(cost, 1)} s a flight.",
         "",
     ]
     return "\n".join(sections)
