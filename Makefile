@@ -29,6 +29,7 @@ bench: $(STAMP)
 
 campaign: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.campaign
+	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m benchmarks.verdict
 
 paper: $(STAMP)
 	OPENBLAS_NUM_THREADS=1 $(BIN)/python -m sim.papers

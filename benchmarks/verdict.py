@@ -1,0 +1,94 @@
+"""How often is the verdict right? Thousands of simulated flights against truth.
+
+    python -m benchmarks.verdict [--flights 2000] [--workers 2]
+    python -m benchmarks.verdict --case N
+
+Writes benchmarks/verdict.md with its figures, and the raw numbers beside it; flights that are
+there already are kept, so a run can be broken off and taken up again. Observation level: tie
+points with noise, no images. Everything behind the tie points is the field check's own code.
+"""
+
+from __future__ import annotations
+
+import argparse
+import contextlib
+import json
+import sys
+import time
+from collections.abc import Callable, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from pathlib import Path
+
+from benchmarks.verdict_cases import case
+from benchmarks.verdict_report import write_report
+from benchmarks.verdict_score import Score, from_row, score, to_row
+
+HERE = Path(__file__).parent
+
+
+def _score_number(number: int) -> Score:
+    return score(case(number))
+
+
+def read_scores(raw: Path) -> dict[int, Score]:
+    """Flights already scored, by number; without a line cut short and those of another design."""
+    done: dict[int, Score] = {}
+    for line in raw.read_text().splitlines() if raw.exists() else []:
+        try:
+            one = from_row(json.loads(line))
+        except (json.JSONDecodeError, TypeError, KeyError):
+            continue
+        if one.case == case(one.case.number):
+            done[one.case.number] = one
+    return done
+
+
+def run(flights: int, raw: Path, workers: int, scored: Callable[[int], Score] = _score_number) -> list[Score]:
+    """Scores of cases 0 to ``flights`` - 1, appended to ``raw`` (JSON lines) as they come."""
+    done = read_scores(raw)
+    todo = [number for number in range(flights) if number not in done]
+    started = time.monotonic()
+    if raw.exists() and not raw.read_bytes().endswith(b"\n") and raw.stat().st_size:
+        with raw.open("a") as out:
+            out.write("\n")
+    with contextlib.ExitStack() as stack:
+        out = stack.enter_context(raw.open("a"))
+        each = map if workers == 1 else stack.enter_context(ProcessPoolExecutor(workers)).map
+        for index, one in enumerate(each(scored, todo)):
+            out.write(json.dumps(to_row(one)) + "\n")
+            out.flush()
+            done[one.case.number] = one
+            left = (time.monotonic() - started) / (index + 1) * (len(todo) - index - 1)
+            print(f"\r{index + 1} of {len(todo)}, {left / 60:.0f} min left ", end="", file=sys.stderr)
+    if todo:
+        print(file=sys.stderr)
+    return [done[number] for number in range(flights)]
+
+
+def show(number: int) -> None:
+    """One flight in full, on standard output."""
+    one = _score_number(number)
+    for name, value in to_row(one).items():
+        print(f"{name:24} {value}")
+    for name in ("observable", "reference_bad", "trust_wrong", "refly_wrong", "false_trust", "false_refly"):
+        print(f"{name:24} {getattr(one, name)}")
+
+
+def main(arguments: Sequence[str] | None = None) -> None:
+    """Run the campaign, or show one case."""
+    parser = argparse.ArgumentParser(
+        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
+    )
+    parser.add_argument("--flights", type=int, default=2000)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--case", type=int, help="show this flight and write nothing")
+    parser.add_argument("--out", type=Path, default=HERE)
+    given = parser.parse_args(arguments)
+    if given.case is not None:
+        show(given.case)
+        return
+    write_report(run(given.flights, given.out / "verdict.jsonl", given.workers), given.out)
+
+
+if __name__ == "__main__":
+    main()

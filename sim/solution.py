@@ -1,0 +1,118 @@
+"""A simulated survey handed over as an alignment of its photos would hand it over.
+
+From here on the field check cannot tell it from photos: the same network, dome, evidence and
+judge take it.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+
+from calib.align.child import Outcome
+from calib.align.dome import predict_dome
+from calib.align.georeference import place, read_tags
+from calib.align.network import measure_network
+from calib.align.selfcal import Calibrated
+from calib.align.uncertainty import estimate
+from calib.field import Lens
+from calib.frames import LocalFrame
+from calib.photos.photo import CameraIdentity, Photo, Position, Processing
+from calib.solution import Solution
+from sim.network import SimBlock
+from sim.photo_writer import level_gimbal
+from sim.solve import calibrate_block
+
+#: Where simulated surveys lie; heights are above the ground.
+_FRAME = LocalFrame(50.831, -0.142)
+#: Receivers better than this state their accuracy in the file, others do not.
+_STATED_BELOW_M = 1.0
+
+
+def identity_of(
+    block: SimBlock, make: str = "DJI", model: str = "FC300X", serial: str = "SIM"
+) -> CameraIdentity:
+    """The camera that a simulated survey was taken with; its files are raw."""
+    brown = block.lens.brown
+    return CameraIdentity(make, model, serial, brown.width, brown.height, Processing.RAW)
+
+
+def photos_of(block: SimBlock, camera: CameraIdentity) -> tuple[Photo, ...]:
+    """The k photos of a block with the positions and gimbal angles that the vehicle measured."""
+    geodetic = _FRAME.geodetic(block.gps_m)
+    photos = []
+    for i, (latitude, longitude, altitude) in enumerate(geodetic.tolist()):
+        east, _, up = block.gps_sigma_m[i].tolist()
+        stated = max(east, up) < _STATED_BELOW_M
+        position = Position(
+            latitude,
+            longitude,
+            altitude,
+            sigma_horizontal_m=east if stated else None,
+            sigma_vertical_m=up if stated else None,
+        )
+        gimbal = level_gimbal(block.gimbal_cam_from_world[i])
+        photos.append(Photo(Path(f"SIM_{i:04d}.JPG"), camera, position, gimbal))
+    return tuple(photos)
+
+
+def solution_of(block: SimBlock, calibrated: Calibrated, camera: CameraIdentity | None = None) -> Solution:
+    """The solution that an alignment of the photos would give.
+
+    Where the geotags stand is measured on the calibrated block; an alignment looks a step earlier.
+    """
+    adjusted = calibrated.adjusted
+    state = adjusted.state
+    photos = photos_of(block, camera or identity_of(block))
+    placement = place(state.rotations, state.centres_m, state.points_m, read_tags(photos))
+    return Solution(
+        photos=photos,
+        lens=state.lens,
+        free=adjusted.free,
+        covariance=adjusted.covariance,
+        rotations_cam_from_world=state.rotations,
+        centres_m=state.centres_m,
+        points_m=state.points_m,
+        observations=calibrated.observations,
+        residuals_px=adjusted.residuals_px,
+        weights=adjusted.weights,
+        sigma0=adjusted.sigma0,
+        georeference=placement.georeference,
+        photos_used=len(photos),
+        components=(len(photos),),
+        converged=adjusted.converged,
+        iterations=adjusted.iterations,
+    )
+
+
+def outcome_of(
+    block: SimBlock,
+    nominal_f_px: float,
+    seed: int,
+    reference: Lens | None,
+    camera: CameraIdentity | None = None,
+) -> tuple[Outcome, Calibrated]:
+    """Self-calibrate a simulated survey and measure all that the verdict rests on.
+
+    Args:
+        nominal_f_px: focal length that the files state.
+        seed: of the start.
+        reference: total mapping to hold the dome against, for the images' size.
+
+    Raises:
+        AlignmentError: too few observations survive.
+    """
+    calibrated = calibrate_block(block, nominal_f_px, seed)
+    honest = estimate(calibrated)
+    solution = solution_of(block, calibrated, camera)
+    network = measure_network(
+        solution.rotations_cam_from_world,
+        solution.centres_m,
+        solution.points_m,
+        solution.observations,
+        honest.brown.f_px,
+    )
+    height = float(np.median(network.height_agl_m))
+    dome = predict_dome(calibrated, honest.lens_covariance, reference, height)
+    return Outcome(solution, honest, network, dome), calibrated
