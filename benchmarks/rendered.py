@@ -1,6 +1,6 @@
 """Rendered surveys against truth: the whole chain from JPEG to sigma.
 
-    python -m benchmarks.rendered [--seeds 10] [--error-seeds 4] [--size 1000x750]
+    python -m benchmarks.rendered [--seeds 10] [--error-seeds 9] [--size 800x600]
 
 Photos are rendered, written, read, aligned and calibrated; nothing is shared with the truth but
 the files. Writes benchmarks/rendered.md and the raw numbers beside it.
@@ -14,6 +14,7 @@ import sys
 import tempfile
 import time
 from collections.abc import Sequence
+from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass, replace
 from pathlib import Path
 
@@ -29,8 +30,13 @@ from sim.render import RenderOptions
 from sim.survey import SurveyOptions, lens_corrected, read_truth, write_survey
 
 HERE = Path(__file__).parent
-ERRORS = ("none", "rolling shutter 30 ms at 5 m/s", "aspect 0.5 %", "in-camera correction, 1.5 px pattern")
-RECIPES = {"nadir": "demo_nadir", "cross-hatch": "crosshatch_nadir", "convergent": "demo"}
+ERRORS = (
+    "rolling shutter 30 ms at 5 m/s",
+    "aspect 0.5 %",
+    "in-camera correction, 1.5 px pattern",
+    "correlated noise 1 px",
+)
+RECIPES = {"nadir": "demo_nadir", "cross-hatch": "demo_crosshatch", "convergent": "demo"}
 
 
 @dataclass(frozen=True)
@@ -61,6 +67,8 @@ def options_of(error: str, size: tuple[int, int]) -> SurveyOptions:
         return replace(options, aspect=0.005)
     if error.startswith("in-camera"):
         return replace(options, camera=lens_corrected(phantom3(*size)), lens_corrected=True, pattern_px=1.5)
+    if error.startswith("correlated"):
+        return replace(options, haze_px=1.0)
     return options
 
 
@@ -128,29 +136,45 @@ def report(scores: Sequence[Score]) -> str:
     return "\n".join(lines)
 
 
+@dataclass(frozen=True)
+class Case:
+    """One survey to be rendered and solved."""
+
+    network: str
+    error: str
+    seed: int
+    size: tuple[int, int]
+
+
+def scored(case: Case) -> Score:
+    """:func:`score` of a case, for a pool of processes."""
+    return score(case.network, case.error, case.seed, case.size)
+
+
 def main() -> None:
     """Run, appending raw numbers, and write the report."""
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--seeds", type=int, default=10)
-    parser.add_argument("--error-seeds", type=int, default=4)
-    parser.add_argument("--size", default="1000x750")
+    parser.add_argument("--seeds", type=int, default=10, help="surveys without an error")
+    parser.add_argument("--error-seeds", type=int, default=9, help="surveys a network and error")
+    parser.add_argument("--size", default="800x600", help="of surveys with an error")
+    parser.add_argument("--clean-size", default="1600x1200", help="of those without")
+    parser.add_argument("--workers", type=int, default=2)
     parser.add_argument("--out", type=Path, default=HERE)
     given = parser.parse_args()
-    width, height = (int(v) for v in given.size.split("x"))
+    size, clean = ((int(w), int(h)) for w, h in (given.size.split("x"), given.clean_size.split("x")))
     raw = given.out / "rendered.jsonl"
     scores = [Score(**json.loads(line)) for line in raw.read_text().splitlines()] if raw.exists() else []
     done = {(s.network, s.error, s.seed, s.width) for s in scores}
-    cases = [("convergent", "none", seed) for seed in range(given.seeds)]
-    cases += [(n, e, 100 + s) for s in range(given.error_seeds) for n in RECIPES for e in ERRORS[1:]]
-    with raw.open("a") as out:
-        for index, (network, error, seed) in enumerate(cases):
-            if (network, error, seed, width) in done:
-                continue
-            one = score(network, error, seed, (width, height))
+    # All surveys of one seed fly over the same ground, which is made once.
+    cases = [Case("convergent", "none", seed, clean) for seed in range(given.seeds)]
+    cases += [Case(n, e, 100 + s, size) for s in range(given.error_seeds) for n in RECIPES for e in ERRORS]
+    todo = [c for c in cases if (c.network, c.error, c.seed, c.size[0]) not in done]
+    with ProcessPoolExecutor(given.workers) as pool, raw.open("a") as out:
+        for index, one in enumerate(pool.map(scored, todo, chunksize=4)):
             scores.append(one)
             out.write(json.dumps(asdict(one)) + "\n")
             out.flush()
-            print(f"\r{index + 1} of {len(cases)} ", end="", file=sys.stderr)
+            print(f"\r{index + 1} of {len(todo)} ", end="", file=sys.stderr)
     (given.out / "rendered.md").write_text(report(scores))
 
 

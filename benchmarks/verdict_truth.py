@@ -14,7 +14,7 @@ from calib.brownfit import fit_brown
 from calib.camera import FloatArray
 from calib.similarity import fit_similarity
 from calib.solution import Observations
-from sim.network import SimBlock, _smooth_noise
+from sim.network import SimBlock, smooth_noise
 from sim.solve import priors_of
 
 #: Draws of correlated noise from which its share in the sigma of f is taken.
@@ -80,7 +80,7 @@ def ideal_sigma_f_percent(
         rng = np.random.default_rng([len(good), 24])
         width = block.lens.brown.width
         moves = [
-            step(good.pixels + correlated_px * _smooth_noise(rng, k, good.photo, good.pixels / width))[0]
+            step(good.pixels + correlated_px * smooth_noise(rng, k, good.photo, good.pixels / width))[0]
             for _ in range(_DRAWS)
         ]
         variance += float(np.mean((np.array(moves) - still) ** 2))

@@ -119,7 +119,8 @@ def flight_plan(name: str, site_m: float = 120.0) -> Flight:
     ``A1`` nadir at one height (32 photos); ``A2`` at two (50); ``A3``, ``A4`` the same and 8
     convergent at 40 degrees ([C&D] fig. 2); ``nadir_one_height`` a short nadir block (18);
     ``crosshatch`` two grids at right angles, 15 degrees off nadir (64); ``crosshatch_nadir`` the
-    same straight down; ``orbit`` a circle looking inwards at 40 degrees (36); ``demo_nadir`` 12
+    same straight down; ``demo_crosshatch`` 24 photos of such a kind;
+    ``orbit`` a circle looking inwards at 40 degrees (36); ``demo_nadir`` 12
     nadir photos; ``demo`` the same and 8 convergent.
 
     Raises:
@@ -139,6 +140,7 @@ def flight_plan(name: str, site_m: float = 120.0) -> Flight:
         "crosshatch_nadir": _two_grids(low, site_m, 0.0),
         "orbit": convergent(36, 40.0, low),
         "demo_nadir": demo,
+        "demo_crosshatch": demo + grid(3, 4, low, 0.9 * site_m, heading_deg=90.0),
         "demo": demo + oblique,
     }
     return plans[name]

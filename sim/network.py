@@ -164,7 +164,7 @@ def observe(name: str, flight: Flight, camera: BrownCamera, seed: int, options: 
     n = len(point)
     noisy = pixels + options.noise_px * rng.normal(size=(n, 2))
     if options.correlated_px > 0:
-        noisy += options.correlated_px * _smooth_noise(rng, k, photo, pixels / camera.width)
+        noisy += options.correlated_px * smooth_noise(rng, k, photo, pixels / camera.width)
     mismatched = rng.random(n) < options.mismatch_rate
     reach = 40 * np.sqrt(rng.random(n)) * camera.width / 4000
     angle = rng.uniform(0, 2 * np.pi, n)
@@ -213,7 +213,7 @@ def _seen(block: SimBlock, photo: NDArray[np.intp], points_m: FloatArray) -> Flo
     return pixels
 
 
-def _smooth_noise(
+def smooth_noise(
     rng: np.random.Generator, photos: int, photo: NDArray[np.intp], where: FloatArray
 ) -> FloatArray:
     """Noise (n, 2) of unit variance that is smooth over each photo (waves of 0.3 to 1 image width)."""

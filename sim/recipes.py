@@ -114,6 +114,7 @@ def _others() -> list[Recipe]:
     old = [
         ("demo", "12 nadir and 8 convergent photos, as in `make demo`"),
         ("demo_nadir", "the 12 nadir photos of demo"),
+        ("demo_crosshatch", "two grids of 12 photos at right angles, straight down"),
         ("nadir_one_height", "nadir at one height, as most people fly"),
         ("crosshatch", "two grids at right angles, 15 degrees off nadir"),
         ("crosshatch_nadir", "two grids at right angles, straight down"),

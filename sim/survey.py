@@ -9,6 +9,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import cv2
 import numpy as np
 
 from calib.camera import BrownCamera, FloatArray
@@ -19,6 +20,7 @@ from calib.photos.photo import CameraIdentity, Processing
 from sim.cameras import CameraModel, find_camera
 from sim.flights import Flight, jittered
 from sim.gps import GpsKind
+from sim.network import smooth_noise
 from sim.options import SurveyOptions
 from sim.pattern import random_pattern
 from sim.photo_writer import write_photo
@@ -141,7 +143,7 @@ def write_survey(
     def make(i: int) -> None:
         image = render(
             world,
-            rays,
+            _shimmering(rays, camera, options.haze_px, seed * 1000 + i),
             flight.rotations_cam_from_world[i],
             flight.centres_m[i],
             velocity_m_s=speed_m_s * flight.track[i],
@@ -160,6 +162,18 @@ def write_survey(
         pool.shutdown(cancel_futures=True)  # After Ctrl-C only those that are begun are finished.
     write_truth(out_dir / TRUTH_FILE, truth, _for_people(plan, options))
     return truth
+
+
+def _shimmering(rays: FloatArray, camera: BrownCamera, rms_px: float, seed: int) -> FloatArray:
+    """Rays (height, width, 2) bent by air: correlated over the photo, independent between photos."""
+    if rms_px == 0:
+        return rays
+    rng = np.random.default_rng([seed, 9])
+    nodes = np.stack(np.meshgrid(np.linspace(0, 1, 81), np.linspace(0, camera.height / camera.width, 61)), -1)
+    shift = smooth_noise(rng, 1, np.zeros(nodes.size // 2, int), nodes.reshape(-1, 2)).reshape(nodes.shape)
+    full = cv2.resize(shift, (camera.width, camera.height), interpolation=cv2.INTER_CUBIC)
+    bent: FloatArray = rays + full * (rms_px * camera.width / 4000 / camera.f_px)
+    return bent
 
 
 def _world_of(
