@@ -40,8 +40,8 @@ def _app() -> typer.Typer:
     from daemon.cli_cameras import app as cameras_app
     from daemon.cli_check import check
     from daemon.cli_equifinal import equifinal
-    from daemon.cli_sim import app as sim_app
     from daemon.cli_perturb import perturb_command
+    from daemon.cli_sim import app as sim_app
 
     app = typer.Typer(
         name="fieldcal",

@@ -18,7 +18,8 @@ class SurveyOptions:
     ``camera_model``: a name of :data:`sim.cameras.CAMERAS`. ``camera``: true lens (default: that of the
     camera model, brought to the size). ``pattern_px``: largest length of a non-Brown pattern at 4000 px
     image width; ``aspect``: b1 / f; ``haze_px``: rms, at that width, of a smooth shift of the image that is
-    another in every photo, as hot air makes it. ``site_m`` scales the flight, 120 m being as flown; ``photos`` reduces those recipes that allow it. ``relief_m``: height
+    another in every photo, as hot air makes it. ``site_m`` scales the flight, 120 m being as flown;
+    ``photos`` reduces those recipes that allow it. ``relief_m``: height
     of rolling ground; ``dem``, ``ortho``: GeoTIFFs to fly over instead of invented ground.
 
     What is written: ``gps`` says how position errors behave (:class:`sim.gps.GpsKind`), ``gps_sigma_m`` is
