@@ -286,7 +286,7 @@ class _Shot:
         inverse = self.ground.inverse.copy()
         for visible in seen:
             distance, s, t = visible.facet.hit(self.start_m[rows][:, None], direction)
-            nearer = (distance * inverse < 1) & visible.facet.covers(s, t)
+            nearer = (1 / distance > inverse) & visible.facet.covers(s, t)
             inverse[nearer] = 1 / distance[nearer]
         right, down, ahead = self.rotation @ velocity_m_s
         # A point at depth Z moves by -v against the camera; its ray X / Z accordingly.

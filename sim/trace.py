@@ -89,13 +89,15 @@ class GroundMap:
 
     rows (a,), columns (b,): pixels of the nodes. inverse (a, b): 1 / distance, 0 for the sky; linear
     over a plane. care (a - 1, b - 1): 0 where interpolation is good enough, 1 where pixels need a
-    step of Newton's method, 2 where they need the whole search (behind a crest, at the horizon).
+    step of Newton's method, 2 where they need the whole search (behind a crest), 3 at a far horizon,
+    where the ground is taken as level at ``far_level_m``.
     """
 
     rows: NDArray[np.intp]
     columns: NDArray[np.intp]
     inverse: FloatArray
     care: NDArray[np.uint8]
+    far_level_m: float
 
     def cell_rows(self, rows: NDArray[np.intp]) -> NDArray[np.intp]:
         """In which row of cells rows of pixels (n,) are."""
@@ -128,14 +130,19 @@ class GroundMap:
             distance: FloatArray = 1 / inverse
         care = self.care[np.ix_(cell, right)] if self.care[cell].any() else None
         if care is not None:
-            for method in (1, 2):
+            for method in (1, 2, 3):
                 v, u = np.nonzero(care == method)
                 if not len(v):
                     continue
                 if method == 1:
                     better = newton(ground, start_m[v], direction[v, u], distance[v, u])
-                else:
+                elif method == 2:
                     better, _ = trace(ground, start_m[v], direction[v, u], hidden_from[v, u])
+                else:
+                    fall = np.minimum(direction[v, u, 2], -1e-12)
+                    better = (self.far_level_m - start_m[v, 2]) / fall
+                    flat = np.hypot(direction[v, u, 0], direction[v, u, 1])
+                    better[(better < 0) | (better * flat > FARTHEST_M)] = np.inf
                 distance[v, u] = better
         return distance
 
@@ -186,8 +193,13 @@ def ground_map(
     care[~any_corner(hits) & ~any_corner(grazing)] = 0
     # Far away at grazing incidence single bumps would take most of the time and are not seen.
     near = inverse > 1 / _EXACT_M
-    care[~any_corner(near) & (flat > 4 * np.abs(towards[..., 2])) & ~outline] = 0
-    return GroundMap(rows, columns, inverse, care)
+    far = ~any_corner(near) & (flat > 4 * np.abs(towards[..., 2]))
+    care[far] = 0
+    care[far & outline] = 3
+    at_m = start[:, 2] + np.where(np.isfinite(distance), distance, 0.0) * direction[:, 2]
+    remote = np.isfinite(distance) & (distance > _EXACT_M)
+    far_level_m = float(np.median(at_m[remote])) if remote.any() else 0.0
+    return GroundMap(rows, columns, inverse, care, far_level_m)
 
 
 def directions(rays: FloatArray, rotation_cam_from_world: FloatArray) -> FloatArray:

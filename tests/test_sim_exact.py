@@ -194,7 +194,7 @@ def test_lodge(azimuth_deg: float, readout_s: float) -> None:
     centre = (14.0 * np.sin(a), 11.0 * np.cos(a), 8.0)
     velocity = 4.0 * np.array([np.cos(a), -np.sin(a), 0.3])
     eye = looking(centre, (0.0, 0.0, 5.4), velocity_m_s=velocity, readout_s=readout_s)
-    check(world, eye, surfaces, 0.03, reach_px=10, at_least=40)
+    check(world, eye, surfaces, 0.03, reach_px=10, at_least=30, spread=0.4)
 
 
 @lru_cache(maxsize=1)
