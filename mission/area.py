@@ -194,7 +194,9 @@ def _check_degrees(lon_lat: FloatArray, source: str) -> None:
             "are these metres of a projection?"
         )
     if latitude > MOST_LATITUDE_DEG:
-        raise InputError(f"{_capital(source)} lies within a degree of a pole, where no mission can be planned.")
+        raise InputError(
+            f"{_capital(source)} lies within a degree of a pole, where no mission can be planned."
+        )
 
 
 def _check_valid(polygon: Polygon, source: str) -> Polygon:
@@ -203,7 +205,11 @@ def _check_valid(polygon: Polygon, source: str) -> Polygon:
     reason = shapely.is_valid_reason(polygon)
     place = re.search(r"\[(\S+) (\S+)", reason)
     where = f" at {float(place[2]):.6f}, {float(place[1]):.6f}" if place is not None else ""
-    fault = "crosses itself" if "intersect" in reason.lower() else f"is not a proper polygon ({reason.split('[')[0]})"
+    fault = (
+        "crosses itself"
+        if "intersect" in reason.lower()
+        else f"is not a proper polygon ({reason.split('[')[0]})"
+    )
     raise InputError(f"The outline of {source} {fault}{where}; draw it again there.")
 
 

@@ -62,7 +62,9 @@ def _read_kmz(path: Path) -> list[BaseGeometry]:
             for member in members:
                 name = PurePosixPath(member.filename.replace("\\", "/"))
                 if name.is_absolute() or ".." in name.parts or ":" in member.filename:
-                    raise InputError(f"{path} is refused: its member {member.filename} points out of its folder.")
+                    raise InputError(
+                        f"{path} is refused: its member {member.filename} points out of its folder."
+                    )
             kml = [m for m in members if m.filename.lower().endswith(".kml")]
             if not kml:
                 raise InputError(f"{path} is no KMZ: there is no .kml file in it.")
@@ -74,7 +76,9 @@ def _read_kmz(path: Path) -> list[BaseGeometry]:
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror or error}.") from error
     if len(data) > MOST_BYTES:
-        raise InputError(f"{path} is refused: {chosen.filename} in it is larger than {MOST_BYTES // 10**6} MB.")
+        raise InputError(
+            f"{path} is refused: {chosen.filename} in it is larger than {MOST_BYTES // 10**6} MB."
+        )
     return kml_polygons(data, str(path))
 
 
@@ -113,7 +117,9 @@ def _rings(polygon: Element, boundary: str, source: str) -> list[list[tuple[floa
             try:
                 corners = [
                     (float(c[0]), float(c[1]))
-                    for c in (word.split(",") for word in re.sub(r"\s*,\s*", ",", coordinates.text or "").split())
+                    for c in (
+                        word.split(",") for word in re.sub(r"\s*,\s*", ",", coordinates.text or "").split()
+                    )
                 ]
             except (ValueError, IndexError) as error:
                 raise InputError(f"A polygon in {source} has corners that are no numbers.") from error
@@ -160,7 +166,9 @@ def _geometries(data: dict[str, Any]) -> Iterator[dict[str, Any]]:
 def _bytes(path: Path) -> bytes:
     try:
         if path.stat().st_size > MOST_BYTES:
-            raise InputError(f"{path} is larger than {MOST_BYTES // 10**6} MB; that is no outline of an area.")
+            raise InputError(
+                f"{path} is larger than {MOST_BYTES // 10**6} MB; that is no outline of an area."
+            )
         return path.read_bytes()
     except OSError as error:
         raise InputError(f"{path} cannot be read: {error.strerror}.") from error

@@ -65,7 +65,9 @@ def footprint(camera: BrownCamera, off_nadir_deg: float = 0.0) -> Footprint:
     per_side = len(right) // 4
     top, side_r, bottom, side_l = (slice(i * per_side, (i + 1) * per_side) for i in range(4))
     return Footprint(
-        float(min(right[side_r].min(), -right[side_l].max())), float(ahead[bottom].max()), float(ahead[top].min())
+        float(min(right[side_r].min(), -right[side_l].max())),
+        float(ahead[bottom].max()),
+        float(ahead[top].min()),
     )
 
 

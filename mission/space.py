@@ -62,7 +62,9 @@ class Space:
                 area = area.buffer(-margin)
             standoff = self.standoff_m + (margin - self.margin_m)
             for index in tall:
-                area = area.difference(self.structures[index].outline.buffer(max(standoff, 0.0) / math.cos(math.pi / 32)))
+                area = area.difference(
+                    self.structures[index].outline.buffer(max(standoff, 0.0) / math.cos(math.pi / 32))
+                )
             shapely.prepare(area)
             self._free[key] = area
         return self._free[key]
@@ -101,7 +103,9 @@ def make_space(
         area = area.intersection(zone) if inside else area.difference(zone)
     parts = [p for p in shapely.get_parts(area) if isinstance(p, Polygon) and p.area > 0]
     if not parts:
-        raise InputError("The fence leaves no place to fly: its keep-in and keep-out zones exclude each other.")
+        raise InputError(
+            "The fence leaves no place to fly: its keep-in and keep-out zones exclude each other."
+        )
     return Space(MultiPolygon(parts), structures, fence.ceiling_m, margin_m, standoff_m, bool(zones))
 
 

@@ -140,7 +140,9 @@ def _window(
     source: Any, path: Path, frame: LocalFrame, bounds_m: tuple[float, float, float, float]
 ) -> DemTerrain:
     if source.crs is None:
-        raise InputError(f"The projection of the terrain model {path} is not known: the file does not name it.")
+        raise InputError(
+            f"The projection of the terrain model {path} is not known: the file does not name it."
+        )
     crs = source.crs.to_wkt()
     to_pixel = tuple(float(v) for v in tuple(~source.transform)[:6])
     west, south, east, north = bounds_m
@@ -154,8 +156,7 @@ def _window(
     column, row = _pixels(frame, np.concatenate([outline, [[0.0, 0.0]]]), crs, to_pixel)
     low = [max(math.floor(v.min()) - _EDGE_PIXELS, 0) for v in (column, row)]
     high = [
-        min(math.ceil(v.max()) + _EDGE_PIXELS, n)
-        for v, n in ((column, source.width), (row, source.height))
+        min(math.ceil(v.max()) + _EDGE_PIXELS, n) for v, n in ((column, source.width), (row, source.height))
     ]
     if not np.isfinite([column, row]).all() or high[0] <= low[0] or high[1] <= low[1]:
         raise InputError(

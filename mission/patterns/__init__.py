@@ -80,7 +80,7 @@ DESCRIPTIONS = {
 
 
 def pattern_names(given: str) -> tuple[str, ...]:
-    """"nadir+orbit" -> the patterns it stands for, each once, in the order of a mission.
+    """ "nadir+orbit" -> the patterns it stands for, each once, in the order of a mission.
 
     Raises:
         InputError: no such pattern.

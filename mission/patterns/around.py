@@ -36,9 +36,7 @@ def orbit_part(site: Site) -> Part:
     if not 1 <= count <= 400:
         raise InputError(f"An orbit has 1 to 400 photos, not {count}.")
     azimuth, closed = _azimuths(count, options.arc_deg)
-    if options.clockwise is False and closed:
-        azimuth = azimuth[::-1]
-    elif options.clockwise is not None and not closed and (azimuth[-1] > azimuth[0]) != options.clockwise:
+    if (options.clockwise is False and closed) or (options.clockwise is not None and not closed and (azimuth[-1] > azimuth[0]) != options.clockwise):
         azimuth = azimuth[::-1]
     stations = ring_stations(site, site.middle_m, radius, azimuth, tilt, "orbit")
     kept = allowed(site, stations)
@@ -111,7 +109,9 @@ def _tilt(tilt_deg: float | None, radius_m: float | None, height_m: float, defau
     if tilt_deg is None:
         return default if radius_m is None else math.degrees(math.atan2(radius_m, height_m))
     if not 1 <= tilt_deg <= 80:
-        raise InputError(f"A tilt of {tilt_deg:g} degrees off nadir is not possible here; 20 to 45 calibrate best.")
+        raise InputError(
+            f"A tilt of {tilt_deg:g} degrees off nadir is not possible here; 20 to 45 calibrate best."
+        )
     return tilt_deg
 
 

@@ -126,9 +126,7 @@ def wall_part(site: Site) -> Part:
 def _object(site: Site) -> tuple[Polygon, float, float, str]:
     """Outline, height of its foot above launch, own height and name of what the rings go around."""
     poi = site.options.poi_m
-    structures = sorted(
-        site.space.structures, key=lambda s: s.outline.distance(Point(poi or site.middle_m))
-    )
+    structures = sorted(site.space.structures, key=lambda s: s.outline.distance(Point(poi or site.middle_m)))
     if structures:
         chosen = structures[0]
         return chosen.outline, chosen.top_m - chosen.height_m, chosen.height_m, chosen.name
@@ -186,7 +184,9 @@ def _before_wall(site: Site, stations: list[Station], wall: Wall) -> list[Statio
             b.outline.distance(at) >= near or s.height_m >= b.top_m + site.space.standoff_m
             for b in site.space.structures
         )
-        inside = site.space.fence_area.buffer(-site.space.margin_m if site.space.has_zones else 0).contains(at)
+        inside = site.space.fence_area.buffer(-site.space.margin_m if site.space.has_zones else 0).contains(
+            at
+        )
         if clear and inside and line.distance(at) > 1:
             kept.append(s)
     return kept

@@ -74,7 +74,9 @@ def grid_part(site: Site, grid: Grid) -> Part:
         photos = to_map(np.stack([np.full_like(v, run.u), v], axis=-1))
         for points in _allowed(site, photos, grid.height_m):
             left_out -= len(points)
-            waypoints = line_waypoints(site, points, grid.height_m, grid.heading_deg, grid.off_nadir_deg, grid.pattern)
+            waypoints = line_waypoints(
+                site, points, grid.height_m, grid.heading_deg, grid.off_nadir_deg, grid.pattern
+            )
             pieces.append(Piece(waypoints, turning=True))
         left_out += len(photos)
     notes = ()
@@ -101,7 +103,9 @@ def best_heading_deg(site: Site) -> float:
     for candidate in [*dict.fromkeys(np.round(edges, 1)), 0.0, 90.0]:
         turned, _ = _turned(site.area, float(candidate))
         runs = _runs(turned, across, along, 0.0, level())
-        cost = sum(run.v1 - run.v0 for run in runs) + len(runs) * (_TURN_S * site.vehicle.speed_m_s + across.step)
+        cost = sum(run.v1 - run.v0 for run in runs) + len(runs) * (
+            _TURN_S * site.vehicle.speed_m_s + across.step
+        )
         if cost < best - 1e-6:
             best, heading = cost, float(candidate)
     return heading

@@ -33,7 +33,9 @@ def line_waypoints(
         else:
             ends = np.column_stack([photos_m, heights])[[first, last]]
             spacing = float(np.linalg.norm(ends[1] - ends[0])) / (last - first)
-            found.append(_waypoint(photos_m, heights, first, yaw_deg, off_nadir_deg, Shot.LINE, spacing, pattern))
+            found.append(
+                _waypoint(photos_m, heights, first, yaw_deg, off_nadir_deg, Shot.LINE, spacing, pattern)
+            )
             found.append(_waypoint(photos_m, heights, last, yaw_deg, off_nadir_deg, Shot.NONE, 0.0, pattern))
         first = last + 1
     return tuple(found)
