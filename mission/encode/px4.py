@@ -1,0 +1,105 @@
+"""PX4 multicopter: a plan as mission items. Behaviour as measured on PX4 v1.16.
+
+* No home item: item 0 is the take-off.
+* Commands without a place need frame MISSION, places GLOBAL_RELATIVE_ALT; CONDITION_YAW is not
+  known, waypoints carry the yaw, and the vehicle holds it on the way there. So the end of a line
+  carries the line's yaw, and a second waypoint at the same place turns to another one.
+* Only straight legs: orbits are waypoints.
+* Rates of a gimbal command are NaN ("as fast as it goes"), as the MAVLink definition has it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+from mission.encode import constants as mav
+from mission.encode.items import (
+    NAN,
+    SHUTTER_S,
+    Aim,
+    Item,
+    centimetres,
+    check,
+    check_lines,
+    degrees_e7,
+    do,
+    every,
+    line_gap_m,
+    line_goes_on,
+    no_more_photos,
+    photo,
+    places,
+    speed,
+    takeoff_height_m,
+    wait,
+)
+from mission.encode.roi import roi_items
+from mission.plan import Plan, Shot, Waypoint
+
+
+def items(plan: Plan, aim: Aim = "angles") -> tuple[Item, ...]:
+    """The mission, take-off first, return to launch last.
+
+    Raises:
+        InputError: too many items, or a line without an end or a spacing.
+    """
+    check_lines(plan)
+    at = [_place(*p) for p in places(plan.launch, np.array([w.enu_m for w in plan.waypoints]))]
+    rois = roi_items(plan) if aim == "roi" else [None] * len(at)
+    launch = plan.launch
+    takeoff = Item(
+        mav.NAV_TAKEOFF,
+        mav.GLOBAL_RELATIVE_ALT,
+        param4=NAN,
+        x=degrees_e7(launch.latitude_deg),
+        y=degrees_e7((launch.longitude_deg + 180) % 360 - 180),
+        z=centimetres(takeoff_height_m(plan, at[0].z if at else 0.0)),
+    )
+    out = [takeoff, speed(plan.vehicle.speed_m_s)]
+    before: Waypoint | None = None
+    for index, (waypoint, place) in enumerate(zip(plan.waypoints, at, strict=True)):
+        roi = rois[index]
+        yaw = NAN if roi is not None or waypoint.shot is Shot.NONE else _yaw_deg(waypoint)
+        if before is not None and before.shot is Shot.LINE:
+            out += [replace(place, param4=_yaw_deg(before)), photo()]
+            if not line_goes_on(before, waypoint):
+                out += [no_more_photos(), wait(SHUTTER_S)]
+                if waypoint.shot is not Shot.NONE and yaw != _yaw_deg(before):
+                    out.append(replace(place, param4=yaw))
+        else:
+            out.append(replace(place, param4=yaw))
+        if waypoint.shot is not Shot.NONE and not line_goes_on(before, waypoint):
+            out += [_gimbal(waypoint) if roi is None else roi, wait(plan.vehicle.settle_s)]
+        if waypoint.shot is Shot.STOP:
+            out += [photo(), wait(SHUTTER_S)]
+            if roi is not None and (index + 1 == len(rois) or rois[index + 1] is None):
+                out.append(do(mav.DO_SET_ROI_NONE))
+        if waypoint.shot is Shot.LINE:
+            out.append(every(line_gap_m(waypoint, plan.waypoints[index + 1])))
+        before = waypoint
+    if at and plan.return_height_m > at[-1].z + 0.5:
+        out.append(replace(at[-1], param4=NAN, z=centimetres(plan.return_height_m)))
+    out.append(do(mav.NAV_RETURN_TO_LAUNCH))
+    return check(plan, tuple(out))
+
+
+def _place(x: int, y: int, height_m: float) -> Item:
+    return Item(mav.NAV_WAYPOINT, mav.GLOBAL_RELATIVE_ALT, x=x, y=y, z=height_m)
+
+
+def _yaw_deg(waypoint: Waypoint) -> float:
+    return waypoint.yaw_deg % 360
+
+
+def _gimbal(waypoint: Waypoint) -> Item:
+    """Pitch as given, yaw in the nose's direction (only roll and pitch are locked to the horizon)."""
+    return do(
+        mav.DO_GIMBAL_MANAGER_PITCHYAW,
+        waypoint.pitch_deg,
+        0.0,
+        NAN,
+        NAN,
+        x=mav.ROLL_LOCK | mav.PITCH_LOCK,
+    )
