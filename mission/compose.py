@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from itertools import pairwise
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -123,7 +124,7 @@ def _camera_speed_m_s(waypoints: Sequence[Waypoint], interval_s: float) -> float
     """The fastest speed at which the camera keeps up on every line."""
     steps = [
         np.linalg.norm(np.diff(line_photos_m(here, after)[:2], axis=0))
-        for here, after in zip(waypoints[:-1], waypoints[1:], strict=True)
+        for here, after in pairwise(waypoints)
         if here.shot is Shot.LINE
     ]
     if not steps or interval_s <= 0:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from dataclasses import replace
 
 import numpy as np
@@ -47,7 +48,7 @@ def lack_of_clearance_m(site: Site, way_m: FloatArray) -> float:
     if math.isinf(site.terrain.resolution_m):
         return site.clearance_m - float(way_m[:, 2].min()) if len(way_m) else 0.0
     worst = -math.inf
-    for start, end in zip(way_m[:-1], way_m[1:], strict=True):
+    for start, end in pairwise(way_m):
         distance, ground = profile_m(site.terrain, start, end, STEP_M)
         share = distance / distance[-1] if distance[-1] > 0 else distance
         height = start[2] + share * (end[2] - start[2])
@@ -59,7 +60,7 @@ def highest_ground_m(site: Site, way_m: FloatArray) -> float:
     """Highest ground under the path (n, 2 or 3)."""
     return max(
         float(profile_m(site.terrain, start, end, STEP_M)[1].max())
-        for start, end in zip(way_m[:-1], way_m[1:], strict=True)
+        for start, end in pairwise(way_m)
     )
 
 

@@ -123,7 +123,7 @@ def _endurance(plan: Plan, site: Site) -> Finding:
     else:
         batteries = math.ceil(share / max(limit, 1e-9))
         message += (
-            f", so it is {share - limit:.0f} % too much: fly higher, ask for less overlap, or split the area for "
+            f", so {limit:.0f} % are available: fly higher, ask for less overlap, or split the area for "
             f"{batteries} batteries."
         )
     return Finding("endurance", True, ok, share, limit, "%", message)

@@ -12,6 +12,7 @@ from calib.camera import FloatArray
 from mission.plan import Plan
 from mission.rule import Finding
 from mission.site import Site
+from mission.terrain import below_plane_m
 
 STEP_M = 1.0
 #: Samples of one path at most; longer ones are sampled more coarsely, at legs' ends always.
@@ -74,7 +75,9 @@ def fence_finding(plan: Plan, site: Site) -> Finding:
 
 def ceiling_finding(plan: Plan, site: Site) -> Finding:
     """The path stays below the ceiling above the launch point."""
-    highest = float(max(plan.path_m[:, 2].max(), plan.return_height_m))
+    # Autopilots measure the ceiling as they fly: in altitude, not from the frame's plane.
+    path = np.vstack([plan.path_m, way_home_m(plan, step_m=100.0)])
+    highest = float((path[:, 2] + below_plane_m(path[:, :2])).max())
     ceiling = site.space.ceiling_m
     if ceiling is None:
         message = f"There is no ceiling; the path goes up to {highest:.0f} m above the launch point."

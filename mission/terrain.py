@@ -1,9 +1,8 @@
 """The ground under a mission: a terrain model from a file, or flat.
 
-Heights are differences of altitude to the ground at the launch point, in metres, at points given
-in metres east and north of it: the same kind of height as a waypoint's ``height_m``, which is what
-an autopilot flies. (The plane of :class:`LocalFrame` leaves the Earth by 2 m at 5 km; altitudes do
-not.) Only differences count, so the vertical datum of the model does not.
+Heights are "up" in the frame around the launch point, in metres above the ground there, like a
+waypoint's ``height_m``. That frame is a plane which leaves the Earth by 2 m at 5 km
+(:func:`below_plane_m`). Only differences of altitude count, so a model's vertical datum does not.
 """
 
 from __future__ import annotations
@@ -30,7 +29,13 @@ from calib.frames import LocalFrame
 MOST_PIXELS = 3000
 #: Read around the asked place as well, for the interpolation.
 _EDGE_PIXELS = 2
+_EARTH_RADIUS_M = 6_371_000.0
 _VERTICAL_UNITS_M = {"ft": 0.3048, "foot": 0.3048, "feet": 0.3048, "us survey foot": 0.3048006096, "cm": 0.01}
+
+
+def below_plane_m(east_north_m: FloatArray) -> FloatArray:
+    """How far a place (..., 2) at the launch point's altitude lies below the plane of the frame."""
+    return np.asarray((np.asarray(east_north_m)[..., :2] ** 2).sum(axis=-1) / (2 * _EARTH_RADIUS_M))
 
 
 class Terrain(Protocol):
@@ -97,7 +102,8 @@ class DemTerrain:
                 f"{np.hypot(*flat[missing][0]):.0f} m from the launch point; take a model that covers "
                 "the mission and its margins."
             )
-        return (altitudes - self.launch_altitude_m).reshape(points.shape[:-1])
+        up = altitudes - self.launch_altitude_m - below_plane_m(flat)
+        return up.reshape(points.shape[:-1])
 
     def _altitudes(self, points_m: FloatArray) -> FloatArray:
         """Bilinear between pixel centres; NaN outside or beside a missing value."""
@@ -163,7 +169,7 @@ def _window(
             f"The terrain model {path} does not cover the area around {frame.latitude_deg:.5f}, "
             f"{frame.longitude_deg:.5f}."
         )
-    size = [h - l for l, h in zip(low, high, strict=True)]
+    size = [last - first for first, last in zip(low, high, strict=True)]
     shape = [min(n, MOST_PIXELS) for n in size]
     data = source.read(
         1,

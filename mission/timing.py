@@ -7,6 +7,7 @@ photo is taken from standing; a multicopter holds its ground speed until its air
 from __future__ import annotations
 
 import math
+from itertools import pairwise
 from dataclasses import dataclass
 
 import numpy as np
@@ -71,7 +72,7 @@ def flight_legs(plan: Plan) -> tuple[Leg, ...]:
         0.0,
     ]
     legs = []
-    for index, (start, end) in enumerate(zip(corners[:-1], corners[1:], strict=True)):
+    for index, (start, end) in enumerate(pairwise(corners)):
         through = (
             index + 2 < len(corners) and stands[index] == 0 and _straight(start, end, corners[index + 2])
         )
