@@ -40,6 +40,7 @@ def _app() -> typer.Typer:
     from daemon.cli_cameras import app as cameras_app
     from daemon.cli_check import check
     from daemon.cli_equifinal import equifinal
+    from daemon.cli_plan import plan
 
     app = typer.Typer(
         name="fieldcal",
@@ -52,6 +53,7 @@ def _app() -> typer.Typer:
     app.command("check")(check)
     app.add_typer(cameras_app, name="cameras")
     app.command("equifinal")(equifinal)
+    app.command("plan")(plan)
     return app
 
 

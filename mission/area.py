@@ -72,7 +72,8 @@ def load_area(given: str, what: str = "area") -> GeoArea:
     """
     circle = _CIRCLE.fullmatch(given)
     if circle is not None:
-        return circle_area(*(float(number) for number in circle.groups()), what=what)
+        latitude, longitude, radius = (float(number) for number in circle.groups())
+        return circle_area(latitude, longitude, radius, what)
     if re.match(r"\s*(SRID=\d+\s*;)?\s*(MULTI)?POLYGON\b", given, re.IGNORECASE):
         return area_from_parts(read_wkt(given, f"the {what}"), f"the {what}")
     path = Path(given).expanduser()

@@ -41,7 +41,8 @@ def projected_to_degrees(
         transformer = Transformer.from_crs(known, "EPSG:4326", always_xy=True)
     except ProjError as error:
         raise InputError(
-            f"The projection of {source} is not known to fieldcal; save it again as WGS84 longitude and latitude."
+            f"The projection of {source} is not known to fieldcal; save it again as WGS84 longitude "
+            "and latitude."
         ) from error
 
     def move(xy: FloatArray) -> FloatArray:
@@ -87,7 +88,8 @@ def read_geopackage(path: Path) -> list[BaseGeometry]:
         uri = f"{path.resolve().as_uri()}?mode=ro&immutable=1"
         with contextlib.closing(sqlite3.connect(uri, uri=True)) as base:
             layers = base.execute(
-                "SELECT g.table_name, g.column_name, s.organization, s.organization_coordsys_id, s.definition "
+                "SELECT g.table_name, g.column_name, s.organization, s.organization_coordsys_id, "
+                "s.definition "
                 "FROM gpkg_geometry_columns g JOIN gpkg_spatial_ref_sys s ON s.srs_id = g.srs_id"
             ).fetchall()
             for table, column, organization, code, definition in layers:

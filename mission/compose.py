@@ -4,8 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from itertools import pairwise
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 import shapely
@@ -70,7 +70,8 @@ def compose_with_notes(names: Sequence[str], site: Site) -> Composition:
     speed = _camera_speed_m_s(waypoints, vehicle.camera_interval_s)
     if speed < vehicle.speed_m_s:
         notes.append(
-            f"The speed is lowered from {vehicle.speed_m_s:g} to {speed:.1f} m/s, so that the camera keeps up "
+            f"The speed is lowered from {vehicle.speed_m_s:g} to {speed:.1f} m/s, so that the "
+            "camera keeps up "
             f"(one photo every {vehicle.camera_interval_s:g} s)."
         )
         vehicle = replace(vehicle, speed_m_s=speed)

@@ -3,8 +3,8 @@
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 
@@ -58,17 +58,15 @@ def lack_of_clearance_m(site: Site, way_m: FloatArray) -> float:
 
 def highest_ground_m(site: Site, way_m: FloatArray) -> float:
     """Highest ground under the path (n, 2 or 3)."""
-    return max(
-        float(profile_m(site.terrain, start, end, STEP_M)[1].max())
-        for start, end in pairwise(way_m)
-    )
+    return max(float(profile_m(site.terrain, start, end, STEP_M)[1].max()) for start, end in pairwise(way_m))
 
 
 def _without_repeats(way_m: FloatArray) -> FloatArray:
     moved = np.linalg.norm(np.diff(way_m, axis=0), axis=1) > 1e-6
     keep = np.concatenate([[True], moved])
     keep[-1] = True
-    return way_m[keep]
+    kept: FloatArray = way_m[keep]
+    return kept
 
 
 def _passing(like: Waypoint, at_m: FloatArray) -> Waypoint:

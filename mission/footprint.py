@@ -119,6 +119,7 @@ def _on_ground(rays: FloatArray, off_nadir_deg: float) -> tuple[FloatArray, Floa
     down = math.cos(tilt) + rays[:, 1] * math.sin(tilt)
     if down.min() < 0.05:
         raise InputError(
-            f"Tilted {off_nadir_deg:g} degrees off nadir the photos reach the horizon; a grid needs less tilt."
+            f"Tilted {off_nadir_deg:g} degrees off nadir the photos reach the horizon; a grid needs "
+            "less tilt."
         )
     return rays[:, 0] / down, (math.sin(tilt) - rays[:, 1] * math.cos(tilt)) / down

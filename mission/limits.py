@@ -81,7 +81,8 @@ def _gimbal(plan: Plan, site: Site) -> Finding:
     )
     if bad:
         message = (
-            f"{bad} photos need the camera at up to {worst:.0f} degrees, beyond the gimbal's {low:g} to {high:g}; "
+            f"{bad} photos need the camera at up to {worst:.0f} degrees, beyond the gimbal's "
+            f"{low:g} to {high:g}; "
             "the autopilot would clamp it without a word."
         )
     return Finding("gimbal-range", True, not bad, worst, limit, "degrees", message)
@@ -102,7 +103,8 @@ def _trigger(plan: Plan, site: Site) -> Finding:
     interval = min(steps) / plan.vehicle.speed_m_s
     ok = interval >= least
     message = (
-        f"On the lines a photo is due every {interval:.1f} s at {plan.vehicle.speed_m_s:.1f} m/s, and the camera "
+        f"On the lines a photo is due every {interval:.1f} s at {plan.vehicle.speed_m_s:.1f} m/s, "
+        "and the camera "
         f"takes one every {least:g} s"
     )
     message += "." if ok else f": fly at {min(steps) / least:.1f} m/s at most."

@@ -67,7 +67,8 @@ def fence_finding(plan: Plan, site: Site) -> Finding:
     outside = float(shapely.distance(area, shapely.points(samples[:, :2])).max())
     where = int(np.flatnonzero(bad)[0])
     message = (
-        f"{int(bad.sum())} of the {len(legs)} legs leave the fence, by up to {_metres(outside)}; the first is "
+        f"{int(bad.sum())} of the {len(legs)} legs leave the fence, by up to {_metres(outside)}; "
+        "the first is "
         f"{_leg_name(where, len(legs))}."
     )
     return Finding("fence", True, False, -outside, 0.0, "m", message)
@@ -99,7 +100,8 @@ def clearance_finding(plan: Plan, site: Site) -> Finding:
     if not ok:
         lack = site.clearance_m - least
         message = (
-            f"The path comes to {least:.0f} m above the ground at {_place(site, samples[worst])}, {lack:.0f} m less "
+            f"The path comes to {least:.0f} m above the ground at {_place(site, samples[worst])}, "
+            f"{lack:.0f} m less "
             f"than the clearance of {site.clearance_m:g} m"
         )
     return Finding("terrain-clearance", True, ok, least, site.clearance_m, "m", message + ".")

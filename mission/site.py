@@ -18,6 +18,8 @@ from mission.terrain import Terrain
 ORBIT_TILT_DEG = 35.0
 FAN_TILT_DEG = 40.0
 GENTLE_TILT_DEG = 15.0
+FORWARD_OVERLAP, SIDE_OVERLAP = 0.8, 0.7
+CLEARANCE_M = 10.0
 
 
 @dataclass(frozen=True)
@@ -78,9 +80,9 @@ class Site:
     vehicle: Vehicle = field(default_factory=Vehicle)
     wind: Wind = field(default_factory=Wind)
     fence: Fence = field(default_factory=Fence)
-    forward_overlap: float = 0.8
-    side_overlap: float = 0.7
-    clearance_m: float = 10.0
+    forward_overlap: float = FORWARD_OVERLAP
+    side_overlap: float = SIDE_OVERLAP
+    clearance_m: float = CLEARANCE_M
     options: PatternOptions = field(default_factory=PatternOptions)
 
     def footprint(self, off_nadir_deg: float = 0.0) -> Footprint:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from dataclasses import fields, replace
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -17,7 +17,7 @@ from calib.references import load_reference
 from mission.area import GeoArea, area_from_corners, load_area, local_points_m
 from mission.fence import Circle, Fence
 from mission.plan import Vehicle
-from mission.site import PatternOptions, Site, Wall, Wind
+from mission.site import CLEARANCE_M, FORWARD_OVERLAP, SIDE_OVERLAP, PatternOptions, Site, Wall, Wind
 from mission.site_file import Outline, SiteFile
 from mission.space import Structure, make_space
 from mission.terrain import FlatTerrain, Terrain, load_terrain
@@ -46,7 +46,6 @@ def build_site(keys: SiteFile, source: str = "the site") -> Site:
     terrain = _terrain(keys.dem, frame, local, height)
     fence = _fence(keys)
     structures = tuple(_structure(s.outline, s.height_m, s.name, frame, terrain) for s in keys.structure)
-    defaults = {f.name: f.default for f in fields(Site)}
     standoff = 10.0 if keys.standoff_m is None else keys.standoff_m
     margin = 5.0 if keys.fence_margin_m is None else keys.fence_margin_m
     vehicle = _vehicle(keys)
@@ -62,9 +61,9 @@ def build_site(keys: SiteFile, source: str = "the site") -> Site:
         vehicle=vehicle,
         wind=Wind() if keys.wind is None else Wind(keys.wind.speed_m_s, keys.wind.from_deg),
         fence=fence,
-        forward_overlap=keys.forward_overlap or defaults["forward_overlap"],
-        side_overlap=keys.side_overlap or defaults["side_overlap"],
-        clearance_m=defaults["clearance_m"] if keys.clearance_m is None else keys.clearance_m,
+        forward_overlap=keys.forward_overlap or FORWARD_OVERLAP,
+        side_overlap=keys.side_overlap or SIDE_OVERLAP,
+        clearance_m=CLEARANCE_M if keys.clearance_m is None else keys.clearance_m,
         options=_options(keys, frame),
     )
 
@@ -100,11 +99,13 @@ def _height_m(keys: SiteFile, camera: BrownCamera) -> float:
         raise InputError("There is neither a height nor a ground resolution: give --height or --gsd.")
     if not LEAST_HEIGHT_M <= height <= MOST_HEIGHT_M:
         raise InputError(
-            f"{asked} cannot be planned: heights above ground go from {LEAST_HEIGHT_M:g} to {MOST_HEIGHT_M:g} m."
+            f"{asked} cannot be planned: heights above ground go from {LEAST_HEIGHT_M:g} to "
+            f"{MOST_HEIGHT_M:g} m."
         )
     if keys.ceiling_m is not None and height > keys.ceiling_m:
         raise InputError(
-            f"{asked} is {height - keys.ceiling_m:.0f} m above the ceiling of {keys.ceiling_m:g} m; fly lower."
+            f"{asked} is {height - keys.ceiling_m:.0f} m above the ceiling of {keys.ceiling_m:g} m; "
+            "fly lower."
         )
     return height
 
@@ -177,6 +178,11 @@ def _place(frame: LocalFrame, at: tuple[float, float]) -> tuple[float, float]:
 
 
 def _name(keys: SiteFile, source: str) -> str:
-    if isinstance(keys.area, str) and Path(keys.area).suffix and "," not in keys.area and "(" not in keys.area:
+    if (
+        isinstance(keys.area, str)
+        and Path(keys.area).suffix
+        and "," not in keys.area
+        and "(" not in keys.area
+    ):
         return Path(keys.area).stem
     return Path(source).stem if source.endswith(".toml") else "survey"

@@ -7,10 +7,11 @@ said in one sentence that names the key and the file.
 from __future__ import annotations
 
 import tomllib
+from collections.abc import Mapping
 from pathlib import Path
 from typing import Annotated, Any, Literal
 
-from pydantic import BaseModel, ConfigDict, Field, ValidationError
+from pydantic import BaseModel, BeforeValidator, ConfigDict, Field, ValidationError
 
 from calib.errors import InputError
 
@@ -19,7 +20,9 @@ _MOST_BYTES = 1_000_000
 Latitude = Annotated[float, Field(ge=-90, le=90)]
 Longitude = Annotated[float, Field(ge=-180, le=180)]
 Positive = Annotated[float, Field(gt=0, allow_inf_nan=False)]
-Overlap = Annotated[float, Field(ge=0.1, le=0.95)]
+#: 0.8 and 80 (percent) mean the same.
+_share = BeforeValidator(lambda v: v / 100 if isinstance(v, (int, float)) and v >= 1 else v)
+Overlap = Annotated[float, _share, Field(ge=0.1, le=0.95)]
 #: A file, LAT,LON,RADIUS, WKT, or corners as [latitude, longitude].
 Outline = str | list[tuple[Latitude, Longitude]]
 
@@ -36,7 +39,7 @@ class VehicleKeys(_Strict):
     descent_m_s: Annotated[float, Field(gt=0, le=30)] | None = None
     acceleration_m_s2: Annotated[float, Field(gt=0, le=30)] | None = None
     endurance_s: Annotated[float, Field(gt=0, le=86_400)] | None = None
-    reserve_share: Annotated[float, Field(ge=0, lt=1)] | None = None
+    reserve_share: Annotated[float, _share, Field(ge=0, lt=1)] | None = None
     settle_s: Annotated[float, Field(ge=0, le=60)] | None = None
     gimbal_lowest_deg: Annotated[float, Field(ge=-135, le=0)] | None = None
     gimbal_highest_deg: Annotated[float, Field(ge=-90, le=90)] | None = None
@@ -127,14 +130,16 @@ def read_site_file(path: Path) -> SiteFile:
             raise InputError(f"The site file {path} is larger than a megabyte; that is no site file.")
         keys = tomllib.loads(data.decode("utf-8-sig"))
     except OSError as error:
-        raise InputError(f"The site file {path} cannot be read: {(error.strerror or str(error)).lower()}.") from error
+        raise InputError(
+            f"The site file {path} cannot be read: {(error.strerror or str(error)).lower()}."
+        ) from error
     except (tomllib.TOMLDecodeError, UnicodeDecodeError) as error:
         raise InputError(f"The site file {path} is no TOML: {error}.") from error
     return _placed(checked(keys, f"the site file {path}"), path.parent)
 
 
-def checked(keys: dict[str, Any], source: str) -> SiteFile:
-    """Keys as a SiteFile.
+def checked(keys: dict[str, Any], source: str, names: Mapping[str, str] | None = None) -> SiteFile:
+    """Keys as a SiteFile. ``names``: what the user calls a key, where that is not a key of a file.
 
     Raises:
         InputError: the first mistake, as one sentence naming key and ``source``.
@@ -142,15 +147,37 @@ def checked(keys: dict[str, Any], source: str) -> SiteFile:
     try:
         found = SiteFile.model_validate(keys)
     except ValidationError as error:
-        raise InputError(_sentence(error, source)) from error
+        raise InputError(_sentence(error, source, names or {})) from error
     if found.height_m is not None and found.gsd_cm is not None:
         raise InputError(f"Both height_m and gsd_cm are given in {source}; give one of them.")
     return found
 
 
-def _sentence(error: ValidationError, source: str) -> str:
+def overlaid(under: SiteFile, over: SiteFile) -> SiteFile:
+    """What ``over`` gives, and the rest from ``under``; zones and structures of both."""
+    update: dict[str, Any] = {}
+    for key in SiteFile.model_fields:
+        given = getattr(over, key)
+        if key in ("fence", "structure"):
+            update[key] = (*getattr(under, key), *given)
+        elif key in ("vehicle", "pattern"):
+            kept = getattr(under, key)
+            new = {k: v for k, v in given.model_dump().items() if v is not None}
+            update[key] = kept.model_copy(update=new)
+        elif given is not None:
+            update[key] = given
+    if over.height_m is not None:
+        update["gsd_cm"] = None
+    if over.gsd_cm is not None:
+        update["height_m"] = None
+    return under.model_copy(update=update)
+
+
+def _sentence(error: ValidationError, source: str, names: Mapping[str, str]) -> str:
     first = error.errors()[0]
-    place = [part for part in first["loc"] if not str(part).startswith(("list[", "tuple[", "str", "function"))]
+    place = [
+        part for part in first["loc"] if not str(part).startswith(("list[", "tuple[", "str", "function"))
+    ]
     key = ".".join(str(part + 1 if isinstance(part, int) else part) for part in place)
     if first["type"] == "extra_forbidden":
         known = _known_keys(place[:-1])
@@ -160,7 +187,8 @@ def _sentence(error: ValidationError, source: str) -> str:
     message = str(first["msg"])
     given = first.get("input")
     shown = f", not {given!r}" if isinstance(given, (str, int, float, bool)) else ""
-    return f"The key {key} in {source} is wrong: {message[:1].lower()}{message[1:]}{shown}."
+    what = names.get(".".join(str(part) for part in place if isinstance(part, str)), f"key {key}")
+    return f"The {what} in {source} is wrong: {message[:1].lower()}{message[1:]}{shown}."
 
 
 def _known_keys(place: list[int | str]) -> list[str]:

@@ -7,8 +7,8 @@ photo is taken from standing; a multicopter holds its ground speed until its air
 from __future__ import annotations
 
 import math
-from itertools import pairwise
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 

@@ -36,7 +36,9 @@ def orbit_part(site: Site) -> Part:
     if not 1 <= count <= 400:
         raise InputError(f"An orbit has 1 to 400 photos, not {count}.")
     azimuth, closed = _azimuths(count, options.arc_deg)
-    if (options.clockwise is False and closed) or (options.clockwise is not None and not closed and (azimuth[-1] > azimuth[0]) != options.clockwise):
+    if (options.clockwise is False and closed) or (
+        options.clockwise is not None and not closed and (azimuth[-1] > azimuth[0]) != options.clockwise
+    ):
         azimuth = azimuth[::-1]
     stations = ring_stations(site, site.middle_m, radius, azimuth, tilt, "orbit")
     kept = allowed(site, stations)
@@ -126,7 +128,8 @@ def _azimuths(count: int, arc_deg: tuple[float, float] | None) -> tuple[FloatArr
 def _some_left(kept: list[Station], all_of_them: list[Station], pattern: str, radius_m: float) -> None:
     if not kept:
         raise InputError(
-            f"None of the {len(all_of_them)} stations of the {pattern} ({radius_m:.0f} m around its middle) is "
+            f"None of the {len(all_of_them)} stations of the {pattern} ({radius_m:.0f} m around its "
+            "middle) is "
             "allowed by fence and structures; choose another point of interest, tilt or height."
         )
 

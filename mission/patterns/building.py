@@ -71,7 +71,8 @@ def rings_part(site: Site) -> Part:
         kept = allowed(site, stations)
         if len(kept) < len(stations):
             notes.append(
-                f"{len(stations) - len(kept)} of the {len(stations)} photos of ring {ring + 1} around {name} are "
+                f"{len(stations) - len(kept)} of the {len(stations)} photos of ring {ring + 1} "
+                f"around {name} are "
                 "left out for fence or structures."
             )
         if kept:

@@ -79,7 +79,7 @@ def grid_part(site: Site, grid: Grid) -> Part:
             )
             pieces.append(Piece(waypoints, turning=True))
         left_out += len(photos)
-    notes = ()
+    notes: tuple[str, ...] = ()
     if left_out:
         notes = (
             f"The fence cuts {left_out} photos off the {grid.pattern} grid: the overlap is lower along it.",
@@ -165,12 +165,14 @@ def _line_places(west: float, east: float, across: Spacing, rise: Relief) -> Flo
         places.append(places[-1] + across.step * rise.at(places[-1], across.window))
         if len(places) > _MOST_LINES:
             raise InputError(
-                f"The grid would need more than {_MOST_LINES} lines, {across.step:.2g} m apart; fly higher or "
+                f"The grid would need more than {_MOST_LINES} lines, {across.step:.2g} m apart; fly "
+                "higher or "
                 "ask for less overlap."
             )
-    found = np.array(places)
+    found: FloatArray = np.array(places)
     if len(places) == across.views and found[-1] > end:
-        return found - (found[-1] - end) / 2  # A narrow area: the lines on both sides of its middle.
+        found -= (found[-1] - end) / 2  # A narrow area: the lines on both sides of its middle.
+        return found
     if found[-1] - start > end - start > 0:
         found = start + (found - start) * (end - start) / (found[-1] - start)
     return found
