@@ -13,6 +13,7 @@ import re
 from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import shapely
@@ -172,7 +173,7 @@ def _unwrapped(polygon: Polygon, start: float, source: str) -> Polygon:
     """The polygon with longitudes that do not jump at the date line, near ``start``."""
     _check_degrees(shapely.get_coordinates(polygon), source)
 
-    def ring(coordinates: FloatArray) -> FloatArray:
+    def ring(coordinates: Any) -> FloatArray:
         xy = np.array(coordinates)[:, :2]
         xy[:, 0] = np.unwrap(np.concatenate([[start], xy[:, 0]]), period=360)[1:]
         return xy

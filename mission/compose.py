@@ -9,6 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import shapely
+from shapely import MultiPoint
 
 from calib.camera import FloatArray
 from calib.errors import InputError
@@ -136,7 +137,7 @@ def _camera_speed_m_s(waypoints: Sequence[Waypoint], interval_s: float) -> float
 def return_height_m(site: Site, waypoints: Sequence[Waypoint]) -> float:
     """A height above the launch point that clears ground and structures from everywhere on the path."""
     places = np.array([[0.0, 0.0], *([w.east_m, w.north_m] for w in waypoints)])
-    hull = shapely.convex_hull(shapely.multipoints(places)).buffer(1.0)
+    hull = MultiPoint(places).convex_hull.buffer(1.0)
     west, south, east, north = hull.bounds
     x, y = np.meshgrid(np.linspace(west, east, _HOME_SAMPLES), np.linspace(south, north, _HOME_SAMPLES))
     inside = shapely.contains_xy(hull, x, y)

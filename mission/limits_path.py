@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from typing import Any
 
 import numpy as np
 import shapely
@@ -57,7 +58,7 @@ def fence_finding(plan: Plan, site: Site) -> Finding:
         return Finding("fence", True, True, None, None, "m", "There is no fence.")
     area = site.space.fence_area
     path = plan.path_m
-    legs = shapely.linestrings(np.stack([path[:-1, :2], path[1:, :2]], axis=1))
+    legs: Any = shapely.linestrings(np.stack([path[:-1, :2], path[1:, :2]], axis=1))
     bad = ~shapely.covers(area, legs)
     if not bad.any():
         margin = float(shapely.distance(shapely.boundary(area), legs).min())

@@ -195,8 +195,8 @@ def _outline(
 def _extent(planned: Planned) -> tuple[float, float, float, float]:
     """West, south, east, north of what matters, with a little room."""
     path = planned.plan.path_m[:, :2]
-    box = shapely.union_all([shapely.multipoints(path), planned.site.area])
-    west, south, east, north = box.bounds
+    corners = np.concatenate([path, shapely.get_coordinates(planned.site.area)])
+    (west, south), (east, north) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
     room = 0.06 * max(east - west, north - south, 1.0)
     return west - room, south - room, east + room, north + room
 

@@ -91,7 +91,7 @@ def best_heading_deg(site: Site) -> float:
     """The heading with the least time for lines and turns: along the sides of the area's hull, as a rule."""
     if site.options.heading_deg is not None:
         return site.options.heading_deg
-    hull = np.asarray(site.area.convex_hull.exterior.coords)
+    hull = shapely.get_coordinates(site.area.convex_hull)
     steps = np.diff(hull[:, :2], axis=0)
     length = np.hypot(*steps.T)
     steps = steps[np.argsort(-length)][:24]
@@ -137,7 +137,8 @@ def _runs(turned: Polygon, across: Spacing, along: Spacing, ahead: float, rise: 
     scales = np.array([rise.at(u, 0.5 * across.window) for u in lines])
     half = 0.5 * across.window * scales
     _, south, _, north = turned.bounds
-    strips = shapely.box(lines - half, south - 1, lines + half, north + 1)
+    low, high = np.full_like(lines, south - 1), np.full_like(lines, north + 1)
+    strips = shapely.box(lines - half, low, lines + half, high)  # type: ignore[call-overload]
     runs: list[_Run] = []
     for u, scale, inside in zip(lines, scales, shapely.intersection(turned, strips), strict=True):
         step = along.step * scale
