@@ -8,7 +8,7 @@ from pathlib import Path
 
 from calib.errors import InputError
 from calib.frames import LocalFrame
-from mission.encode import ardupilot, px4, qgc_plan, waypoints
+from mission.encode import ardupilot, kml, litchi, px4, qgc_plan, waypoints, wpml, wpml_read
 from mission.encode.compare import compare
 from mission.encode.decode import stations_of_items
 from mission.encode.files import read_bytes, text_of, write_bytes_atomic
@@ -62,6 +62,20 @@ def _waypoints(plan: Plan, options: _Options) -> tuple[bytes, list[str]]:
     return text.encode(), [*_item_notes(plan, options), *_no_fence(options, "Waypoint files")]
 
 
+def _kml(plan: Plan, _: _Options) -> tuple[bytes, list[str]]:
+    return kml.text(plan).encode(), ["KML is for looking at: it holds no camera commands."]
+
+
+def _kmz(plan: Plan, options: _Options) -> tuple[bytes, list[str]]:
+    data, notes = wpml.kmz(plan)
+    return data, [*notes, *_no_fence(options, "DJI waylines")]
+
+
+def _litchi(plan: Plan, options: _Options) -> tuple[bytes, list[str]]:
+    text, notes = litchi.text(plan)
+    return text.encode(), [*notes, *_no_fence(options, "Litchi missions")]
+
+
 def _item_notes(plan: Plan, options: _Options) -> list[str]:
     notes = []
     whole = all(w.pitch_deg == round(w.pitch_deg) for w in plan.waypoints)
@@ -79,15 +93,21 @@ def _no_fence(options: _Options, what: str) -> list[str]:
 _WRITERS: dict[str, Callable[[Plan, _Options], tuple[bytes, list[str]]]] = {
     ".plan": _plan,
     ".waypoints": _waypoints,
+    ".kml": _kml,
+    ".kmz": _kmz,
+    ".csv": _litchi,
 }
 
 #: What :func:`write` writes, and what it is for.
 SUFFIXES: dict[str, str] = {
     ".plan": "QGroundControl and MAVSDK",
     ".waypoints": "Mission Planner, MAVProxy, QGroundControl",
+    ".kml": "eyes: Google Earth, QGIS",
+    ".kmz": "DJI Pilot 2, FlightHub 2 (WPML)",
+    ".csv": "Litchi",
 }
 #: What :func:`read` reads.
-READABLE = (".plan", ".waypoints")
+READABLE = (".plan", ".waypoints", ".kmz", ".csv")
 
 
 def write(
@@ -139,4 +159,8 @@ def read(path: Path, *, launch: LocalFrame | None = None) -> ReadPlan:
         return qgc_plan.read(text_of(read_bytes(path), qgc_plan.WHAT))
     if suffix == ".waypoints":
         return waypoints.read(text_of(read_bytes(path), waypoints.WHAT), launch)
+    if suffix == ".kmz":
+        return wpml_read.read(read_bytes(path), launch)
+    if suffix == ".csv":
+        return litchi.read(text_of(read_bytes(path), litchi.WHAT), launch)
     raise InputError(f"{path.name} cannot be read as a mission: only {', '.join(READABLE)} can.")

@@ -24,7 +24,7 @@ from mission.encode.items import (
     Item,
     centimetres,
     check,
-    check_lines,
+    check_plan,
     degrees_e7,
     do,
     every,
@@ -51,7 +51,7 @@ def items(plan: Plan, aim: Aim = "angles") -> tuple[Item, ...]:
     Raises:
         InputError: too many items, or a line without an end or a spacing.
     """
-    check_lines(plan)
+    check_plan(plan)
     at = [_place(*p) for p in places(plan.launch, np.array([w.enu_m for w in plan.waypoints]))]
     rois = roi_items(plan) if aim == "roi" else [None] * len(at)
     launch = plan.launch

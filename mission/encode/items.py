@@ -10,6 +10,7 @@ waypoint (new battery, pause) loses none of them.
 from __future__ import annotations
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -64,10 +65,23 @@ class Item:
         return self.y * 1e-7
 
 
+def item(
+    command: int,
+    frame: int,
+    params: Sequence[float],
+    x: int = 0,
+    y: int = 0,
+    z: float = 0.0,
+    autocontinue: bool = True,
+) -> Item:
+    """An item from its first four params in a row (more are left out)."""
+    one, two, three, four = (float(p) for p in params[:4])
+    return Item(command, frame, one, two, three, four, x, y, z, autocontinue)
+
+
 def do(command: int, *params: float, x: int = 0, z: float = 0.0) -> Item:
     """An item without a place, in frame MISSION (PX4 takes no other)."""
-    four = (*params, 0.0, 0.0, 0.0, 0.0)[:4]
-    return Item(command, mav.MISSION, *four, x=x, z=z)
+    return item(command, mav.MISSION, [*params, 0.0, 0.0, 0.0, 0.0], x, 0, z)
 
 
 def photo() -> Item:
@@ -106,8 +120,6 @@ def places(frame: LocalFrame, enu_m: FloatArray) -> list[tuple[int, int, float]]
     """East, north, up (n, 3) in m -> latitude, longitude (1e-7 degrees), metres above the launch."""
     if not len(enu_m):
         return []
-    if not np.isfinite(enu_m).all():
-        raise InputError("The plan has a place that is not a number, so it cannot be written.")
     found = []
     for latitude, longitude, altitude in frame.geodetic(np.asarray(enu_m, dtype=float)).tolist():
         east = (longitude + 180) % 360 - 180
@@ -117,8 +129,6 @@ def places(frame: LocalFrame, enu_m: FloatArray) -> list[tuple[int, int, float]]
 
 def line_gap_m(start: Waypoint, end: Waypoint) -> float:
     """Distance between the photos of a LINE (see :func:`mission.plan.line_photos_m`), never 0."""
-    if not start.spacing_m > 0:
-        raise InputError("A line of photos has no spacing, so it cannot be written.")
     length = float(np.linalg.norm(end.enu_m - start.enu_m))
     return max(length / max(math.ceil(length / start.spacing_m - 1e-9), 1), 0.01)
 
@@ -157,7 +167,16 @@ def check(plan: Plan, items: tuple[Item, ...]) -> tuple[Item, ...]:
     return items
 
 
-def check_lines(plan: Plan) -> None:
-    """Refuse a plan whose last waypoint starts a line."""
+def check_plan(plan: Plan) -> None:
+    """Refuse what no format can hold.
+
+    Raises:
+        InputError: a number that is none, a line without spacing, or one that leads nowhere.
+    """
+    for w in plan.waypoints:
+        if not all(map(math.isfinite, (w.east_m, w.north_m, w.height_m, w.yaw_deg, w.pitch_deg))):
+            raise InputError("The plan has a waypoint with a number that is none, so it cannot be written.")
+        if w.shot is Shot.LINE and not (w.spacing_m > 0 and math.isfinite(w.spacing_m)):
+            raise InputError("A line of photos has no spacing, so it cannot be written.")
     if plan.waypoints and plan.waypoints[-1].shot is Shot.LINE:
         raise InputError("The plan ends with a line of photos that leads nowhere, so it cannot be written.")

@@ -14,8 +14,8 @@ from calib.errors import FormatError
 from calib.frames import LocalFrame
 from mission.encode import constants as mav
 from mission.encode.decode import stations_of_items
-from mission.encode.items import Flavour, Item
-from mission.encode.readplan import ReadPlan, integer, latitude_longitude, number
+from mission.encode.items import Flavour, Item, item
+from mission.encode.readplan import ReadPlan, int32, integer, latitude_longitude, number
 from mission.fence import Circle, Fence, Polygon
 from mission.plan import Plan
 
@@ -35,7 +35,7 @@ def text(plan: Plan, items: tuple[Item, ...], fence: Fence | None, flavour: Flav
         "firmwareType": _FIRMWARE[flavour],
         "globalPlanAltitudeMode": _RELATIVE,
         "hoverSpeed": speed,
-        "items": [_item(item, index + 1) for index, item in enumerate(own)],
+        "items": [_entry(one, index + 1) for index, one in enumerate(own)],
         "plannedHomePosition": [launch.latitude_deg, launch.longitude_deg, launch.altitude_m],
         "vehicleType": _MULTICOPTER,
         "version": 2,
@@ -70,13 +70,13 @@ def read(raw: str) -> ReadPlan:
     launch, entries = _launch(mission), mission.get("items")
     if not isinstance(entries, list):
         raise FormatError(f"{WHAT} has no list of mission items.")
-    items = tuple(item for entry in entries for item in _items(entry))
+    items = tuple(one for entry in entries for one in _items(entry))
     notes: list[str] = []
     fence = _read_fence(whole.get("geoFence"), notes)
     return ReadPlan(stations_of_items(items, launch, flavour), launch, fence, tuple(notes), items, flavour)
 
 
-def _item(item: Item, number_: int) -> dict[str, object]:
+def _entry(item: Item, number_: int) -> dict[str, object]:
     placed = item.has_place
     place: list[float] = (
         [round(item.latitude_deg, 7), round(item.longitude_deg, 7)] if placed else [item.x, item.y]
@@ -106,25 +106,20 @@ def _items(entry: object) -> list[Item]:
                 f"{WHAT} has a {str(entry.get('complexItemType', 'complex item'))[:40]} that only "
                 "QGroundControl can unfold: it is not read."
             )
-        return [item for one in listed for item in _items(one)]
+        return [found for one in listed for found in _items(one)]
     params = entry.get("params")
     if not isinstance(params, list) or len(params) != 7:
         raise FormatError(f"{WHAT} has a mission item without its seven params.")
     values = [math.nan if p is None else number(p, "A param of a mission item") for p in params]
     command, frame = integer(entry.get("command"), "A command"), integer(entry.get("frame"), "A frame")
-    item = Item(command, frame, *values[:4], autocontinue=entry.get("autoContinue") is not False)
+    placed = Item(command, frame).has_place
     x, y, z = (0.0 if math.isnan(value) else value for value in values[4:])
-    if item.has_place:
+    if placed:
         if x or y:
             latitude_longitude(x, y, WHAT)
         x, y = x * 1e7, y * 1e7
-    return [Item(command, frame, *values[:4], int32(x), int32(y), z, item.autocontinue)]
-
-
-def int32(value: float) -> int:
-    if not abs(value) < 2**31:
-        raise FormatError(f"{WHAT} has the number {value:g} where an item has room for 32 bits only.")
-    return round(value)
+    goes_on = entry.get("autoContinue") is not False
+    return [item(command, frame, values, int32(x, WHAT), int32(y, WHAT), z, goes_on)]
 
 
 def _launch(mission: dict[str, Any]) -> LocalFrame:

@@ -50,6 +50,13 @@ def integer(value: object, what: str) -> int:
     return int(found)
 
 
+def int32(value: float, what: str) -> int:
+    """The whole number that an item's x or y has room for."""
+    if not abs(value) < 2**31:
+        raise FormatError(f"{what} has the number {value:g} where a mission item has room for 32 bits only.")
+    return round(value)
+
+
 def latitude_longitude(latitude_deg: float, longitude_deg: float, what: str) -> None:
     """Refuse what is no place on Earth."""
     if not (-90 <= latitude_deg <= 90 and -180 <= longitude_deg <= 180):

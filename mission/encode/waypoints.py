@@ -17,9 +17,8 @@ from calib.errors import FormatError
 from calib.frames import LocalFrame
 from mission.encode import constants as mav
 from mission.encode.decode import guess_flavour, stations_of_items
-from mission.encode.items import Item
-from mission.encode.qgc_plan import int32
-from mission.encode.readplan import ReadPlan, integer, latitude_longitude, number
+from mission.encode.items import Item, item
+from mission.encode.readplan import ReadPlan, int32, integer, latitude_longitude, number
 
 HEADER = "QGC WPL 110"
 WHAT = "The waypoint file"
@@ -30,7 +29,7 @@ _GEOD = Geod(ellps="WGS84")
 
 def text(items: tuple[Item, ...]) -> str:
     """The file's text; places to 1e-7 degrees, NaN as ``NaN``."""
-    return "\n".join([HEADER, *(_line(index, item) for index, item in enumerate(items)), ""])
+    return "\n".join([HEADER, *(_line(index, one) for index, one in enumerate(items)), ""])
 
 
 def read(raw: str, launch: LocalFrame | None = None) -> ReadPlan:
@@ -54,9 +53,9 @@ def read(raw: str, launch: LocalFrame | None = None) -> ReadPlan:
     notes: list[str] = []
     flavour = guess_flavour(items)
     items = _right_way_round(items, launch, notes)
-    for item in items:
-        if item.has_place:
-            latitude_longitude(item.latitude_deg, item.longitude_deg, WHAT)
+    for one in items:
+        if one.has_place:
+            latitude_longitude(one.latitude_deg, one.longitude_deg, WHAT)
     if launch is None:
         launch = _launch(items, notes)
     own = tuple(items[1:] if flavour == "ardupilot" else items)
@@ -88,10 +87,9 @@ def _item(line: str) -> Item:
         math.nan if field.lower() == "nan" else number(field, "A param of a waypoint")
         for field in fields[4:8]
     ]
-    item = Item(command, frame, *params, z=number(fields[10], "A height"), autocontinue=fields[11] != "0")
-    scale = 1e7 if item.has_place else 1.0
-    x, y = (int32(number(field, "A place") * scale) for field in fields[8:10])
-    return replace(item, x=x, y=y)
+    scale = 1e7 if Item(command, frame).has_place else 1.0
+    x, y = (int32(number(field, "A place") * scale, WHAT) for field in fields[8:10])
+    return item(command, frame, params, x, y, number(fields[10], "A height"), fields[11] != "0")
 
 
 def _flown(items: list[Item]) -> list[Item]:
