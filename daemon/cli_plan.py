@@ -17,8 +17,9 @@ from mission.compose import compose_with_notes
 from mission.encode import SUFFIXES, write
 from mission.limits import check_limits, hard_violations
 from mission.patterns import DESCRIPTIONS, pattern_names
+from mission.plan import Station
 from mission.planned import Planned
-from mission.predict import Fix, fix, predict
+from mission.predict import predict
 from mission.reroute import allowed_station, rerouted
 from mission.sheet import write_sheet
 from mission.site_build import build_site
@@ -248,16 +249,18 @@ def make_plan(names: tuple[str, ...], keys: SiteFile, repair: bool, source: str)
     plan, notes = composition.plan, list(composition.notes)
     if keys.launch is None:
         notes.append("No launch point is given: the middle of the area is taken.")
-    repaired: Fix | None = None
+    added: tuple[Station, ...] = ()
     if repair:
+        from mission.predict import fix
+
         repaired = fix(plan, site.terrain, site.area, allowed_station(site))
-        plan, prediction = rerouted(repaired.plan, site), repaired.after
+        plan, prediction, added = rerouted(repaired.plan, site), repaired.after, repaired.added
         notes.append(repaired.reason)
         if repaired.binding_limit is not None:
             notes.append(repaired.binding_limit)
     else:
         prediction = predict(plan, site.terrain, site.area)
-    return Planned(site, plan, prediction, check_limits(plan, site), tuple(notes), repaired)
+    return Planned(site, plan, prediction, check_limits(plan, site), tuple(notes), added)
 
 
 @dataclass(frozen=True)

@@ -205,7 +205,7 @@ def _check_valid(polygon: Polygon, source: str) -> Polygon:
     if polygon.is_valid:
         return polygon
     reason = shapely.is_valid_reason(polygon)
-    place = re.search(r"\[(\S+) (\S+)", reason)
+    place = re.search(r"\[([^ \]]+) ([^ \]]+)", reason)
     where = f" at {float(place[2]):.6f}, {float(place[1]):.6f}" if place is not None else ""
     fault = (
         "crosses itself"

@@ -9,7 +9,7 @@ from itertools import pairwise
 
 import numpy as np
 import shapely
-from shapely import MultiPoint
+from shapely import MultiPoint, Point
 
 from calib.camera import FloatArray
 from calib.errors import InputError
@@ -54,7 +54,9 @@ def compose_with_notes(names: Sequence[str], site: Site) -> Composition:
     notes = [note for part in parts for note in part.notes]
     waypoints: list[Waypoint] = []
     home = np.zeros(3)
+    _check_launch(site)
     for part in parts:
+        around = site.wall_site() if part.pattern == "wall" else site
         if not part.pieces:
             raise InputError(f"The fence leaves no photo of the {part.pattern} pattern.")
         here = waypoints[-1].enu_m if waypoints else np.array([0.0, 0.0, part.pieces[0].ends_m[0, 2]])
@@ -64,9 +66,9 @@ def compose_with_notes(names: Sequence[str], site: Site) -> Composition:
         groups = [[piece] for piece in part.pieces] if loops else [list(part.pieces)]
         for group in groups:
             for piece in ordered(group, here, home):
-                waypoints += _joined(site, here, piece, part.pattern)
+                waypoints += _joined(around, here, piece, part.pattern)
                 here = waypoints[-1].enu_m
-    waypoints += _way_home(site, waypoints[-1])
+    waypoints += _way_home(site.wall_site() if parts[-1].pattern == "wall" else site, waypoints[-1])
     vehicle = site.vehicle
     speed = _camera_speed_m_s(waypoints, vehicle.camera_interval_s)
     if speed < vehicle.speed_m_s:
@@ -86,6 +88,12 @@ def compose_with_notes(names: Sequence[str], site: Site) -> Composition:
         return_height_m(site, waypoints),
     )
     return Composition(plan, tuple(notes))
+
+
+def _check_launch(site: Site) -> None:
+    for structure in site.space.structures:
+        if structure.outline.intersects(Point(0, 0)):
+            raise InputError(f"The launch point lies inside {structure.name}; choose another (--launch).")
 
 
 def _joined(site: Site, here_m: FloatArray, piece: Piece, pattern: str) -> list[Waypoint]:

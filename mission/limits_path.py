@@ -130,15 +130,15 @@ def return_finding(plan: Plan, site: Site) -> Finding:
     structures = _distance_to_structures(site, home[1:])[0] if site.space.structures else math.inf
     short = least < site.clearance_m - 1e-6
     close = structures < site.space.standoff_m - 0.05
-    height = plan.return_height_m
-    message = f"The way home at {height:g} m clears the ground by {least:.0f} m"
+    height = float(home[-1, 2])
+    message = f"The way home at {height:.0f} m clears the ground by {least:.0f} m"
     if short or close:
         what = (
             f"comes to {least:.0f} m above the ground"
             if short
             else f"passes {_metres(structures)} from a structure"
         )
-        message = f"The way home at {height:g} m {what}"
+        message = f"The way home at {height:.0f} m {what}"
         return Finding(
             "return-path", True, False, least, site.clearance_m, "m", f"{message}; raise the return height."
         )
@@ -176,7 +176,7 @@ def _distance_to_structures(site: Site, samples_m: FloatArray) -> tuple[float, s
 def _wall_limit(plan: Plan, limit: float, site: Site) -> float:
     """Wall passes are flown at the wall's own distance, which the operator chose."""
     if any(w.pattern == "wall" for w in plan.waypoints):
-        return min(limit, site.options.wall_distance_m)
+        return site.wall_site().space.standoff_m
     return limit
 
 

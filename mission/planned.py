@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
-from mission.plan import Plan
-from mission.predict import Fix, Prediction
+from mission.plan import Plan, Station
+from mission.predict import Prediction
 from mission.rule import Finding
 from mission.site import Site
 from mission.timing import Timing, timing
@@ -13,14 +13,14 @@ from mission.timing import Timing, timing
 
 @dataclass(frozen=True)
 class Planned:
-    """A plan, its prediction and the findings about it; ``repaired`` where photos were added for it."""
+    """A plan, its prediction and the findings about it; ``added``: photos that were added to cure it."""
 
     site: Site
     plan: Plan
     prediction: Prediction
     findings: tuple[Finding, ...]
     notes: tuple[str, ...] = ()
-    repaired: Fix | None = None
+    added: tuple[Station, ...] = ()
 
     @property
     def timing(self) -> Timing:

@@ -19,7 +19,7 @@ from mission.plan import Plan, Station, stations
 from mission.planned import Planned
 
 #: Footprints and places drawn at most; more only slow a phone down.
-_MOST_FOOTPRINTS = 250
+_MOST_FOOTPRINTS = 40
 _MOST_SAMPLES = 3000
 _VIEW_CELLS = 60
 #: Markers and colours of patterns, straight down first.
@@ -143,13 +143,14 @@ def _outlines(plan: Plan, photos: tuple[Station, ...], planned: Planned) -> list
 
 def _photos(figure: go.Figure, photos: list[Station], pattern: str, total: int) -> None:
     symbol, colour = _STYLES.get(pattern, _OTHER)
-    size = float(np.clip(11 - 1.6 * math.log10(max(total, 1)) * 2, 4, 9))
+    # A thousand photos must not hide each other; the few oblique ones must be seen.
+    size = float(np.clip(11 - 3.2 * math.log10(max(total, 1)), 4, 9)) + (4 if len(photos) < 100 else 1)
     figure.add_scatter(
         x=float32(np.array([s.east_m for s in photos])),
         y=float32(np.array([s.north_m for s in photos])),
         mode="markers",
         marker={
-            "symbol": symbol, "size": size + 1, "color": colour, "line": {"color": "white", "width": 0.7}
+            "symbol": symbol, "size": size, "color": colour, "line": {"color": "white", "width": 0.7}
         },
         customdata=float32(np.array([[s.height_m, s.yaw_deg, s.pitch_deg] for s in photos])),
         hovertemplate="%{customdata[0]:.0f} m up, yaw %{customdata[1]:.0f}°, pitch %{customdata[2]:.0f}°"
@@ -212,6 +213,8 @@ def _from_above(figure: go.Figure, planned: Planned, bar: bool = False) -> go.Fi
         margin={"l": 58, "r": 14, "t": 70, "b": below},
     )
     figure.update_layout(legend={"y": 1.02, "yanchor": "bottom"})
+    figure.update_xaxes(zeroline=False)
+    figure.update_yaxes(zeroline=False)
     figure.update_xaxes(title_text="east (m)", constrain="domain", nticks=6, range=[west, east])
     figure.update_yaxes(
         title_text="north (m)", scaleanchor="x", constrain="domain", nticks=6, range=[south, north]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 from shapely import Polygon
 
@@ -91,6 +91,11 @@ class Site:
     def ground_m(self, east_m: float, north_m: float) -> float:
         """Height of the ground at one place above the launch point's."""
         return float(self.terrain.height_m(east_m, north_m))  # type: ignore[arg-type]
+
+    def wall_site(self) -> Site:
+        """The same with a stand-off that lets passes along a wall be flown at their own distance."""
+        near = min(self.space.standoff_m, 0.9 * self.options.wall_distance_m)
+        return replace(self, space=replace(self.space, standoff_m=near))
 
     @property
     def middle_m(self) -> tuple[float, float]:

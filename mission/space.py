@@ -49,7 +49,7 @@ class Space:
     margin_m: float = 5.0
     standoff_m: float = 10.0
     has_zones: bool = False
-    _free: dict[tuple[int, ...], BaseGeometry] = field(default_factory=dict, repr=False)
+    _free: dict[tuple[int, ...], BaseGeometry] = field(default_factory=dict, repr=False, init=False)
 
     def free(self, height_m: float, margin_m: float | None = None) -> BaseGeometry:
         """Where a path at ``height_m`` may be: ``margin_m`` from the fence, clear of what is taller."""
@@ -81,9 +81,28 @@ class Space:
             return np.zeros((0, 2))
         height = min(start_m[2], end_m[2])
         area = self.free(height, self.margin_m - 0.01)
-        corners = _corners(self.free(height))
-        nodes = np.concatenate([start_m[None, :2], end_m[None, :2], corners])
-        return _shortest(nodes, area)
+        # Where one stands too near to a structure already (on take-off), the first move is away from it.
+        leave, enter = (self._way_out(at_m, area) for at_m in (start_m[:2], end_m[:2]))
+        if leave is None or enter is None:
+            return None
+        ends = [start_m[:2], *leave][-1], [end_m[:2], *enter][-1]
+        way = _shortest(np.concatenate([np.array(ends), _corners(self.free(height))]), area)
+        return None if way is None else np.concatenate([leave, way, enter])
+
+    def _way_out(self, at_m: FloatArray, area: BaseGeometry) -> FloatArray | None:
+        """From a place (2,) outside ``area`` straight into it, (0 or 1, 2); None: fence or walls are between."""
+        place = Point(at_m)
+        if area.covers(place):
+            return np.zeros((0, 2))
+        if area.is_empty or any(s.outline.intersects(place) for s in self.structures):
+            return None
+        line = shapely.get_coordinates(shapely.shortest_line(place, area))
+        away = line[1] - line[0]
+        # A hair farther than the edge, so that the place is inside.
+        there: FloatArray = line[1] + 0.02 * away / max(float(np.hypot(*away)), 1e-9)
+        if not self.fence_area.covers(LineString([at_m, there])) or not area.covers(Point(there)):
+            return None
+        return there[None]
 
 
 def make_space(

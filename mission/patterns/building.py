@@ -114,7 +114,7 @@ def wall_part(site: Site) -> Part:
                 Station(float(p[0]), float(p[1]), level, (facing + turn) % 360, 0.0, "wall")
                 for p in targets + sign * shift * along + away * normal
             ]
-            kept = _before_wall(site, stations, wall)
+            kept = allowed(site.wall_site(), stations)
             lost += len(stations) - len(kept)
             if kept:
                 pieces.append(Piece(tuple(stop(s) for s in kept)))
@@ -172,22 +172,3 @@ def _turn(along: FloatArray, normal: FloatArray) -> float:
     """
     right = np.array([-normal[1], normal[0]])
     return -1.0 if float(right @ along) > 0 else 1.0
-
-
-def _before_wall(site: Site, stations: list[Station], wall: Wall) -> list[Station]:
-    """Stations inside the fence, the stand-off kept from other structures but not from this wall's."""
-    line = LineString([wall.start_m, wall.end_m])
-    kept = []
-    for s in stations:
-        at = Point(s.east_m, s.north_m)
-        near = min(site.space.standoff_m, site.options.wall_distance_m) - 0.01
-        clear = all(
-            b.outline.distance(at) >= near or s.height_m >= b.top_m + site.space.standoff_m
-            for b in site.space.structures
-        )
-        inside = site.space.fence_area.buffer(-site.space.margin_m if site.space.has_zones else 0).contains(
-            at
-        )
-        if clear and inside and line.distance(at) > 1:
-            kept.append(s)
-    return kept

@@ -137,8 +137,8 @@ def _runs(turned: Polygon, across: Spacing, along: Spacing, ahead: float, rise: 
     scales = np.array([rise.at(u, 0.5 * across.window) for u in lines])
     half = 0.5 * across.window * scales
     _, south, _, north = turned.bounds
-    low, high = np.full_like(lines, south - 1), np.full_like(lines, north + 1)
-    strips = shapely.box(lines - half, low, lines + half, high)  # type: ignore[call-overload]
+    bottom, top = np.full_like(lines, south - 1), np.full_like(lines, north + 1)
+    strips = shapely.box(lines - half, bottom, lines + half, top)
     runs: list[_Run] = []
     for u, scale, inside in zip(lines, scales, shapely.intersection(turned, strips), strict=True):
         step = along.step * scale
@@ -183,14 +183,11 @@ def _allowed(site: Site, photos_m: FloatArray, height_m: float) -> list[FloatArr
     """The stretches of a line (k, 2) each that the fence and the structures leave."""
     lowest = float(site.terrain.height_m(photos_m[:, 0], photos_m[:, 1]).min()) + height_m
     free = site.space.free(lowest)
-    good = shapely.contains_xy(free, photos_m)
+    good = np.asarray(shapely.contains_xy(free, photos_m))
+    linked = np.zeros(0, dtype=bool)
     if len(photos_m) > 1:
-        linked = shapely.covers(
-            site.space.free(lowest, site.space.margin_m - 0.01),
-            shapely.linestrings(np.stack([photos_m[:-1], photos_m[1:]], axis=1)),
-        )
-    else:
-        linked = np.zeros(0, dtype=bool)
+        legs = shapely.linestrings(np.stack([photos_m[:-1], photos_m[1:]], axis=1))
+        linked = np.asarray(shapely.covers(site.space.free(lowest, site.space.margin_m - 0.01), legs))
     stretches: list[FloatArray] = []
     start: int | None = None
     for index, fine in enumerate(good):
