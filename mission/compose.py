@@ -100,6 +100,8 @@ def _joined(site: Site, here_m: FloatArray, piece: Piece, pattern: str) -> list[
     first = piece.waypoints[0]
     start = np.array([*here_m[:2], first.height_m]) if not np.any(here_m[:2]) else here_m
     way = connection(site, start, first.enu_m, first)
+    if way is None and not np.any(here_m[:2]) and not site.space.fence_area.covers(Point(0, 0)):
+        way = []  # Nothing can be done about a launch point outside the fence; the limits will say so.
     if way is None:
         raise InputError(
             f"Fence and structures leave no way to the {pattern} pattern at {_place(site, first.enu_m)}; "

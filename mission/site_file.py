@@ -176,7 +176,9 @@ def overlaid(under: SiteFile, over: SiteFile) -> SiteFile:
 def _sentence(error: ValidationError, source: str, names: Mapping[str, str]) -> str:
     first = error.errors()[0]
     place = [
-        part for part in first["loc"] if not str(part).startswith(("list[", "tuple[", "str", "function"))
+        part
+        for part in first["loc"]
+        if part != "str" and not str(part).startswith(("list[", "tuple[", "function-"))
     ]
     key = ".".join(str(part + 1 if isinstance(part, int) else part) for part in place)
     if first["type"] == "extra_forbidden":

@@ -90,7 +90,7 @@ class Space:
         return None if way is None else np.concatenate([leave, way, enter])
 
     def _way_out(self, at_m: FloatArray, area: BaseGeometry) -> FloatArray | None:
-        """From a place (2,) outside ``area`` straight into it, (0 or 1, 2); None: fence or walls are between."""
+        """From a place (2,) outside ``area`` straight into it, (0 or 1, 2); None: there is no such way."""
         place = Point(at_m)
         if area.covers(place):
             return np.zeros((0, 2))

@@ -175,11 +175,15 @@ def _bad_files(folder: Path) -> dict[str, tuple[str, str]]:
     return found
 
 
+def _located(given_text: str) -> shapely.Polygon:
+    area = load_area(given_text)
+    return area.local(LocalFrame(*area.middle))
+
+
 def test_bad_areas_are_refused_in_one_sentence(tmp_path: Path) -> None:
     for given_text, words in _bad_files(tmp_path).values():
         with pytest.raises(InputError) as caught:
-            area = load_area(given_text)
-            area.local(LocalFrame(*area.middle))
+            _located(given_text)
         sentence = str(caught.value)
         assert words in sentence, sentence
         assert "\n" not in sentence
@@ -189,7 +193,7 @@ def test_an_unknown_projection_is_said(tmp_path: Path) -> None:
     path = _write(tmp_path, ".shp")
     for text in ("nonsense", 'LOCAL_CS["building site",UNIT["metre",1]]'):
         path.with_suffix(".prj").write_text(text)
-        with pytest.raises(InputError, match="projection of .* is not known"):
+        with pytest.raises(InputError, match=r"projection of .* is not known"):
             load_area(str(path))
 
 
@@ -240,7 +244,7 @@ def test_missing_cover_is_said(tmp_path: Path) -> None:
     with pytest.raises(InputError, match="no height at the launch point"):
         load_terrain(_dem(tmp_path / "hole.tif", hole=True), frame, (-300, -300, 300, 300))
     terrain = load_terrain(tmp_path / "dem.tif", frame, (-300, -300, 300, 300))
-    with pytest.raises(InputError, match="has no height at .* 5000 m from the launch"):
+    with pytest.raises(InputError, match=r"has no height at .* 5000 m from the launch"):
         terrain.height_m(np.array([5000.0]), np.array([0.0]))
     with pytest.raises(InputError, match="projection"):
         load_terrain(_dem(tmp_path / "bare.tif", crs=None), frame, (-300, -300, 300, 300))

@@ -123,8 +123,7 @@ def test_no_leg_leaves_the_fence(
     site = make_site(area, fence=fence, frame=frame, height_m=40.0)
     try:
         plan = compose(names, site)
-    except InputError as error:  # No way through, or nothing left to fly.
-        assert "\n" not in str(error)
+    except InputError:  # No way through, or nothing left to fly.
         return
     samples = np.vstack([path_samples_m(plan), way_home_m(plan)])[:, :2]
     assert np.linalg.norm(np.diff(path_samples_m(plan), axis=0), axis=1).max() < 1.001
@@ -285,7 +284,7 @@ def test_a_hill_between_is_flown_over() -> None:
 
 def test_relief_too_steep_says_how_high_to_fly() -> None:
     site = make_site(box(0, 0, 300, 300), terrain=Hills(80, 100), height_m=40.0)
-    with pytest.raises(InputError, match="rises by .* fly at"):
+    with pytest.raises(InputError, match=r"rises by .* fly at"):
         compose(["nadir"], site)
 
 
