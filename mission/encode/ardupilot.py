@@ -72,7 +72,7 @@ def items(plan: Plan, aim: Aim = "angles") -> tuple[Item, ...]:
                 out += [no_more_photos(), wait(SHUTTER_S)]
         if waypoint.shot is not Shot.NONE and not goes_on:
             roi = rois[index]
-            out += _angles(waypoint) if roi is None else [roi]
+            out += [_gimbal(waypoint), _yaw(waypoint)] if roi is None else [roi]
             out.append(wait(plan.vehicle.settle_s + _turn_s(before, waypoint)))
         if waypoint.shot is Shot.STOP:
             out += [photo(), wait(SHUTTER_S)]
@@ -80,6 +80,8 @@ def items(plan: Plan, aim: Aim = "angles") -> tuple[Item, ...]:
                 out.append(do(mav.DO_SET_ROI_NONE))
         if waypoint.shot is Shot.LINE:
             gap = line_gap_m(waypoint, plan.waypoints[index + 1])
+            if goes_on:
+                out.append(_gimbal(waypoint))
             out += [every(gap), _yaw(waypoint)]
         before = waypoint
     if at and plan.return_height_m > at[-1].z + 0.5:
@@ -97,16 +99,10 @@ def _place(x: int, y: int, height_m: float) -> Item:
     return Item(mav.NAV_WAYPOINT, mav.GLOBAL_RELATIVE_ALT, x=x, y=y, z=z if z else 0.01)
 
 
-def _angles(waypoint: Waypoint) -> list[Item]:
-    """Gimbal in the nose's direction (lock of roll and pitch only), then the nose to the heading."""
-    return [
-        do(
-            mav.DO_GIMBAL_MANAGER_PITCHYAW,
-            math.floor(waypoint.pitch_deg + 0.5),
-            x=mav.ROLL_LOCK | mav.PITCH_LOCK,
-        ),
-        _yaw(waypoint),
-    ]
+def _gimbal(waypoint: Waypoint) -> Item:
+    """Pitch to the whole degree, yaw in the nose's direction (roll and pitch locked to the horizon)."""
+    pitch = math.floor(waypoint.pitch_deg + 0.5)
+    return do(mav.DO_GIMBAL_MANAGER_PITCHYAW, pitch, x=mav.ROLL_LOCK | mav.PITCH_LOCK)
 
 
 def _yaw(waypoint: Waypoint) -> Item:

@@ -9,12 +9,14 @@ from dataclasses import dataclass, field
 import numpy as np
 
 from calib.camera import FloatArray
+from calib.errors import FormatError
 from calib.frames import LocalFrame
 from mission.encode import constants as mav
 from mission.encode.items import Flavour, Item
 from mission.encode.roi import angles
 from mission.plan import Station
 
+MOST_PHOTOS_ON_LEG = 100_000
 #: A photo by distance this close to the line's end (in distances) may or may not come: not counted.
 UNSURE_END = 0.5
 
@@ -33,6 +35,9 @@ def stations_of_items(
     The heading is the last one commanded (CONDITION_YAW; on PX4 the waypoint's), or that of the
     flight where none is; a point of interest counts before both. Photos by distance are those
     before the line's end. ``pattern`` is empty: items do not carry it.
+
+    Raises:
+        FormatError: photos so close together that no flight meant them.
     """
     return _Replay(launch, flavour or guess_flavour(items)).run(items)
 
@@ -101,6 +106,10 @@ class _Replay:
 
     def _line(self, to_m: FloatArray) -> None:
         length = float(np.linalg.norm(to_m - self.at_m))
+        if length > MOST_PHOTOS_ON_LEG * self.spacing_m:
+            raise FormatError(
+                f"The mission asks for more than {MOST_PHOTOS_ON_LEG} photos on one leg: it is damaged."
+            )
         step = 0 if self.first_now else 1
         while step == 0 or step * self.spacing_m < length - UNSURE_END * self.spacing_m:
             share = step * self.spacing_m / length if length > 0 else 0.0

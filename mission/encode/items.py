@@ -33,6 +33,8 @@ Aim = Literal["angles", "roi"]
 SHUTTER_S = 0.5
 #: Lowest climb after take-off that autopilots do (m).
 LOWEST_TAKEOFF_M = 2.5
+#: Photos of a line are never asked for closer together (a line of no length has no other spacing).
+SHORTEST_GAP_M = 0.1
 NAN = math.nan
 
 
@@ -128,9 +130,9 @@ def places(frame: LocalFrame, enu_m: FloatArray) -> list[tuple[int, int, float]]
 
 
 def line_gap_m(start: Waypoint, end: Waypoint) -> float:
-    """Distance between the photos of a LINE (see :func:`mission.plan.line_photos_m`), never 0."""
+    """Distance between the photos of a LINE (see :func:`mission.plan.line_photos_m`)."""
     length = float(np.linalg.norm(end.enu_m - start.enu_m))
-    return max(length / max(math.ceil(length / start.spacing_m - 1e-9), 1), 0.01)
+    return max(length / max(math.ceil(length / start.spacing_m - 1e-9), 1), SHORTEST_GAP_M)
 
 
 def line_goes_on(before: Waypoint | None, here: Waypoint) -> bool:

@@ -18,7 +18,7 @@ from calib.errors import FormatError
 from calib.frames import LocalFrame
 from mission.encode.items import SHUTTER_S, check_plan, line_gap_m, places
 from mission.encode.markup import decimal
-from mission.encode.readplan import ReadPlan, latitude_longitude, number
+from mission.encode.readplan import ReadPlan, latitude_longitude, number, photos_on_leg
 from mission.plan import Plan, Shot, Station, Waypoint
 
 ACTIONS = 15
@@ -57,7 +57,7 @@ def text(plan: Plan) -> tuple[str, list[str]]:
         place = [decimal(x * 1e-7, 7), decimal(y * 1e-7, 7), decimal(height, 3)]
         aim = [round(carried.yaw_deg) % 360, "0", 0, _INTERPOLATE, round(carried.pitch_deg)]
         speed = decimal(min(max(plan.vehicle.speed_m_s, 0.1), 15.0), 2)
-        table.writerow([*place, *aim, *flat, 0, speed, 0, 0, 0, 0, -1, decimal(gap, 3)])
+        table.writerow([*place, *aim, *flat, 0, speed, 0, 0, 0, 0, -1, decimal(gap, 6)])
         before = waypoint
     return out.getvalue(), _notes(plan)
 
@@ -100,7 +100,7 @@ def read(raw: str, launch: LocalFrame | None = None) -> ReadPlan:
         rows = list(csv.DictReader(io.StringIO(raw)))
     except csv.Error as error:
         raise FormatError(f"{WHAT} is not a table ({error}).") from error
-    if not rows or not {"latitude", "longitude", "altitude(m)", "gimbalpitchangle"} <= set(rows[0]):
+    if not rows or not {*HEADER[:4], "gimbalpitchangle"} <= set(rows[0]):
         raise FormatError(f"{WHAT} has no rows or lacks Litchi's columns (in metres): export it again.")
     values = np.array([[number(row[name], name) for name in HEADER[:4]] for row in rows])
     for latitude, longitude in values[:, :2].tolist():
@@ -126,6 +126,7 @@ def read(raw: str, launch: LocalFrame | None = None) -> ReadPlan:
         if gap > 0 and index + 1 < len(rows):
             way = at[index + 1] - at[index]
             length = float(np.linalg.norm(way))
+            photos_on_leg(length, gap, WHAT)
             steps = range(1, math.ceil(length / gap - 0.5))
             found += [_station(at[index] + step * gap / length * way, yaw, pitch) for step in steps]
     return ReadPlan(tuple(found), launch, None, tuple(notes))

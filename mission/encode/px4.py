@@ -77,6 +77,8 @@ def items(plan: Plan, aim: Aim = "angles") -> tuple[Item, ...]:
             if roi is not None and (index + 1 == len(rois) or rois[index + 1] is None):
                 out.append(do(mav.DO_SET_ROI_NONE))
         if waypoint.shot is Shot.LINE:
+            if line_goes_on(before, waypoint):
+                out.append(_gimbal(waypoint))
             out.append(every(line_gap_m(waypoint, plan.waypoints[index + 1])))
         before = waypoint
     if at and plan.return_height_m > at[-1].z + 0.5:

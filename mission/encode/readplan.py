@@ -7,6 +7,7 @@ from dataclasses import dataclass
 
 from calib.errors import FormatError
 from calib.frames import LocalFrame
+from mission.encode.decode import MOST_PHOTOS_ON_LEG
 from mission.encode.items import Flavour, Item
 from mission.fence import Fence
 from mission.plan import Station
@@ -55,6 +56,12 @@ def int32(value: float, what: str) -> int:
     if not abs(value) < 2**31:
         raise FormatError(f"{what} has the number {value:g} where a mission item has room for 32 bits only.")
     return round(value)
+
+
+def photos_on_leg(length_m: float, gap_m: float, what: str) -> None:
+    """Refuse a distance between photos that fills memory with them."""
+    if length_m > gap_m * MOST_PHOTOS_ON_LEG:
+        raise FormatError(f"{what} asks for more than {MOST_PHOTOS_ON_LEG} photos on one leg: it is damaged.")
 
 
 def latitude_longitude(latitude_deg: float, longitude_deg: float, what: str) -> None:

@@ -16,7 +16,7 @@ from calib.camera import FloatArray
 from calib.errors import FormatError
 from calib.frames import LocalFrame
 from mission.encode.markup import child, children, local, parse, text_of
-from mission.encode.readplan import ReadPlan, latitude_longitude, number
+from mission.encode.readplan import ReadPlan, latitude_longitude, number, photos_on_leg
 from mission.encode.wpml import TEMPLATE, WAYLINES
 from mission.plan import Station
 
@@ -209,8 +209,7 @@ class _Flight:
             return
         way = self.at_m[index + 1] - self.at_m[index]
         length = float(np.linalg.norm(way))
-        if length / gap_m > 100_000:
-            raise FormatError(f"{WHAT} asks for more than 100000 photos on one leg: it is damaged.")
+        photos_on_leg(length, gap_m, WHAT)
         for step in range(1, math.ceil(length / gap_m - 0.5)):
             self._photo(self.at_m[index] + step * gap_m / length * way)
 
