@@ -22,7 +22,7 @@ WINDOW_POINTS = 260
 #: Tilts off nadir, heights over the survey's, and numbers of photos of the rings tried.
 TILTS_DEG = (20.0, 30.0, 40.0)
 HEIGHT_FACTORS = (1.0, 1.3)
-RING_PHOTOS = (3, 4, 5, 6, 8, 10, 12, 16)
+RING_PHOTOS = (4, 6, 8, 12, 16)
 PATTERN = "fix"
 
 

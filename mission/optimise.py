@@ -23,7 +23,7 @@ DOME_SIGMA_PERCENT = 0.05
 #: More photos than this are not an extra pass any more.
 MOST_ADDED = 40
 #: Candidates looked at in every round after the first.
-SHORT_LIST = 100
+SHORT_LIST = 80
 #: Of the exchanges that save time, how many are looked at, and of those how many tried in full.
 _LOOKED_AT, _TRIED = 40, 5
 
@@ -74,47 +74,60 @@ class Search:
     ) -> None:
         self.pool, self.worth, self.detours, self.criterion = pool, worth, detours, criterion
         self._known: dict[tuple[int, ...], float] = {}
+        self._singles: dict[int, float] = {}
 
     def ratio(self, photos: Sequence[int]) -> float:
         """The criterion's ratio with the worst photo missing; infinite with too few of them."""
         key = tuple(sorted(photos))
         if key not in self._known:
-            full, missing = self.pool.heads(key)
-            heads = missing if key else full[None]
-            worst = max(self.criterion.ratio(self.worth(head)) for head in heads)
-            self._known[key] = math.inf if len(key) < self.criterion.least_photos else worst
+            if len(key) < self.criterion.least_photos:
+                worst = math.inf
+            elif not key:
+                worst = self._one_ratio(self.pool.joint.head)
+            else:
+                with_all = self.pool.combined(key)
+                worst = max(self._one_ratio(with_all.without(a)) for a in range(len(key)))
+            self._known[key] = worst
         return self._known[key]
+
+    def _one_ratio(self, head: FloatArray) -> float:
+        return self.criterion.ratio(self.worth(head))
 
     def choice(self, photos: Sequence[int]) -> Choice:
         """A set of photos as a :class:`Choice`."""
         key = tuple(sorted(photos))
         return Choice(key, self.detours.seconds(key), self.ratio(key))
 
-    def greedy(self, start: Sequence[int] = (), by_time: bool = True, allowed: Sequence[int] = ()) -> Choice:
+    def greedy(self, start: Sequence[int] = (), by_time: bool = True, most_s: float = math.inf) -> Choice:
         """Add the photo that helps most (per second in the air) until the criterion is met.
 
-        ``allowed``: photos to choose from (none given: all).
+        Given up where that takes more than ``most_s`` or ``MOST_ADDED`` photos.
         """
         chosen = list(start)
         joint = self._joint(chosen)
-        left = [i for i in (allowed or range(len(self.pool))) if i not in chosen]
-        first = True
-        while self.ratio(chosen) > 1.0 and left and len(chosen) < MOST_ADDED:
-            now = self.criterion.ratio(self.worth(joint.head))
+        left = [i for i in range(len(self.pool)) if i not in chosen]
+        while left and len(chosen) < MOST_ADDED and self.detours.seconds(chosen) <= most_s:
+            now = self._one_ratio(joint.head)
+            # With a photo missing it is worse still.
+            if now <= 1.0 and self.ratio(chosen) <= 1.0:
+                break
             cost = self.detours.insertion_s(chosen)
-            gain = {}
-            for i in left:
-                after = self.criterion.ratio(self.worth(joint.head_with(self.pool.rows[i])))
-                gain[i] = math.log(now / after) / (cost[i] if by_time else 1.0)
-            ranked = sorted(left, key=lambda i: (-gain[i], i))
-            if first:
-                # What helps little now helps little later: information of more photos only overlaps.
-                ranked, first = ranked[:SHORT_LIST], False
-            best = ranked[0]
-            chosen.append(best)
-            joint = joint.with_photo(self.pool.rows[best])
-            left = [i for i in left if i in set(ranked) and i != best]
+            after = {i: self._with_one(joint, i) if chosen else self._alone(i) for i in left}
+            gain = {i: math.log(now / after[i]) / (cost[i] if by_time else 1.0) for i in left}
+            # What helps little now helps little later: information of more photos only overlaps.
+            left = sorted(left, key=lambda i: (-gain[i], i))[:SHORT_LIST]
+            chosen.append(left.pop(0))
+            joint = joint.with_photo(self.pool.rows[chosen[-1]])
         return self.choice(chosen)
+
+    def _with_one(self, joint: Joint, i: int) -> float:
+        return self._one_ratio(joint.head_with(self.pool.rows[i]))
+
+    def _alone(self, i: int) -> float:
+        """The ratio with one photo of the pool, none missing."""
+        if i not in self._singles:
+            self._singles[i] = self._with_one(self.pool.joint, i)
+        return self._singles[i]
 
     def _joint(self, photos: Sequence[int]) -> Joint:
         joint = self.pool.joint
@@ -122,34 +135,41 @@ class Search:
             joint = joint.with_photo(self.pool.rows[i])
         return joint
 
-    def exchange(self, choice: Choice, allowed: Sequence[int] = ()) -> Choice:
+    def exchange(self, choice: Choice) -> Choice:
         """Leave photos out and swap them for others as long as that saves time and stays good."""
         if not choice.good:
             return choice
         while True:
-            better = self._without_one(choice) or self._with_another(choice, allowed)
+            better = self._without_one(choice) or self._with_another(choice)
             if better is None:
                 return choice
             choice = better
 
     def _without_one(self, choice: Choice) -> Choice | None:
-        tried = [self.choice(tuple(p for p in choice.photos if p != one)) for one in choice.photos]
-        good = [c for c in tried if c.good and c.seconds < choice.seconds + 1e-9]
-        return min(good, key=lambda c: (c.seconds, c.photos), default=None)
+        """The choice without its dearest dispensable photo; one decomposition serves all of them."""
+        n = len(choice.photos)
+        if n < 3 or n <= self.criterion.least_photos:
+            return None
+        with_all = self.pool.combined(choice.photos)
+        rest = [tuple(p for p in choice.photos if p != one) for one in choice.photos]
+        costs = [self.detours.seconds(r) for r in rest]
+        for a in sorted(range(n), key=lambda a: (costs[a], a)):
+            if all(self._one_ratio(with_all.without(a, b)) <= 1.0 for b in range(n) if b != a):
+                return self.choice(rest[a])
+        return None
 
-    def _with_another(self, choice: Choice, allowed: Sequence[int]) -> Choice | None:
-        among = np.array(sorted(allowed or range(len(self.pool))))
+    def _with_another(self, choice: Choice) -> Choice | None:
         for one in choice.photos:
             rest = tuple(p for p in choice.photos if p != one)
             cost = self.detours.seconds(rest) + self.detours.insertion_s(rest)
-            order = among[np.argsort(cost[among], kind="stable")]
+            order = np.argsort(cost, kind="stable")
             cheaper = [int(i) for i in order if cost[i] < choice.seconds - 0.1 and i not in choice.photos]
             if not cheaper:
                 continue
             joint = self._joint(rest)
             tried = 0
             for i in cheaper[:_LOOKED_AT]:
-                if self.criterion.ratio(self.worth(joint.head_with(self.pool.rows[i]))) > 1.0:
+                if self._with_one(joint, i) > 1.0:
                     continue
                 found = self.choice((*rest, i))
                 if found.good and found.seconds < choice.seconds - 0.05:
@@ -164,10 +184,17 @@ class Search:
 
         Where none meets the criterion, the one that comes nearest to it.
         """
-        found = [self.choice(one) for one in sets]
-        found += [self.greedy(by_time=by_time) for by_time in (True, False)]
+        found: list[Choice] = []
+        for one in sorted(sets, key=lambda s: (self.detours.seconds(s), tuple(s))):
+            found.append(self.choice(one))
+            # The others take longer.
+            if found[-1].good:
+                break
+        for by_time in (True, False):
+            cheapest = min((c.seconds for c in found if c.good), default=math.inf)
+            found.append(self.greedy(by_time=by_time, most_s=1.5 * cheapest))
         good = sorted((c for c in found if c.good), key=lambda c: (c.seconds, c.photos))
         if not good:
             return min(found, key=lambda c: (c.ratio, c.seconds, c.photos))
-        improved = [self.exchange(c) for c in good[:3]]
+        improved = [self.exchange(c) for c in good[:2]]
         return min(improved, key=lambda c: (c.seconds, c.photos))
