@@ -211,30 +211,41 @@ class PhotoPool:
             self._pairs[i, j] = a.matrix @ part @ b.matrix.T
         return self._pairs[i, j]
 
-    def heads(self, photos: tuple[int, ...]) -> tuple[FloatArray, FloatArray]:
-        """Covariance of lens and functionals with ``photos`` added, and with any one of them missing.
-
-        Returns (n, n) and (len(photos), n, n).
-        """
-        if not photos:
-            return self.joint.head, np.zeros((0, self._n, self._n))
+    def combined(self, photos: tuple[int, ...]) -> Combined:
+        """The network with ``photos`` added, at least one."""
         ends = np.concatenate([[0], np.cumsum([len(self.rows[i].matrix) for i in photos])])
         inner = np.eye(int(ends[-1]))
         for a, i in enumerate(photos):
             for b, j in enumerate(photos[: a + 1]):
                 block = self._pair(max(i, j), min(i, j))
-                block = block if i >= j else block.T
-                inner[ends[a] : ends[a + 1], ends[b] : ends[b + 1]] += block
-                if a != b:
-                    inner[ends[b] : ends[b + 1], ends[a] : ends[a + 1]] += block.T
+                # Only the lower triangle is read.
+                inner[ends[a] : ends[a + 1], ends[b] : ends[b + 1]] += block if i >= j else block.T
         seen = np.concatenate([self._head(i) for i in photos])
-        precision = scipy.linalg.cho_solve(
-            (np.linalg.cholesky(inner), True), np.eye(len(inner)), check_finite=False
-        )
-        taken = precision @ seen
-        full = self.joint.head - seen.T @ taken
-        missing = np.empty((len(photos), self._n, self._n))
-        for a in range(len(photos)):
-            part = slice(int(ends[a]), int(ends[a + 1]))
-            missing[a] = full + taken[part].T @ np.linalg.solve(precision[part, part], taken[part])
-        return full, missing
+        factor, info = scipy.linalg.lapack.dpotrf(inner, lower=1, clean=0, overwrite_a=1)
+        if info:
+            raise np.linalg.LinAlgError("a photo's measurements are not finite")
+        lower, _ = scipy.linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)
+        taken = scipy.linalg.blas.dsymm(1.0, lower, seen, lower=1)
+        return Combined(self.joint.head - seen.T @ taken, lower, taken, ends)
+
+
+@dataclass(frozen=True)
+class Combined:
+    """A network with photos added together, any of which can be left out again.
+
+    ``head``: covariance of lens and functionals with all of them. ``lower``: the lower triangle of
+    the inverse covariance of their measurements.
+    """
+
+    head: FloatArray
+    lower: FloatArray
+    taken: FloatArray
+    ends: IntArray
+
+    def without(self, *places: int) -> FloatArray:
+        """:attr:`head` without the photos at these places of the list."""
+        rows = np.concatenate([np.arange(self.ends[a], self.ends[a + 1]) for a in sorted(places)])
+        taken, block = self.taken[rows], self.lower[np.ix_(rows, rows)]
+        block = np.tril(block) + np.tril(block, -1).T
+        left: FloatArray = self.head + taken.T @ np.linalg.solve(block, taken)
+        return left

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import shapely
@@ -17,7 +17,7 @@ from calib.errors import InputError
 from calib.field import Lens
 from calib.frames import rotation_cam_from_world
 from calib.network_design import CameraNetwork, Known, dome_functional
-from calib.network_views import Matching, nearest_view_deg, seen_points
+from calib.network_views import SIMULATED, Matching, nearest_view_deg, seen_points
 from calib.photos.photo import GimbalAngles
 from mission.plan import Station
 from mission.terrain_height import Terrain
@@ -43,7 +43,7 @@ class Assumptions:
 
     noise_px: float = 0.5
     tie_points_per_photo: float = 400.0
-    matching: Matching = field(default_factory=Matching)
+    matching: Matching = SIMULATED
     position_sigma_m: float = 5.0
     attitude_sigma_deg: float = 5.0
     model_error_factor: float = MODEL_ERROR_FACTOR
