@@ -19,7 +19,7 @@ from mission.limits import check_limits, hard_violations
 from mission.patterns import DESCRIPTIONS, pattern_names
 from mission.plan import Station
 from mission.planned import Planned
-from mission.predict import predict
+from mission.predict import fix, predict
 from mission.reroute import allowed_station, rerouted
 from mission.sheet import write_sheet
 from mission.site_build import build_site
@@ -251,8 +251,6 @@ def make_plan(names: tuple[str, ...], keys: SiteFile, repair: bool, source: str)
         notes.append("No launch point is given: the middle of the area is taken.")
     added: tuple[Station, ...] = ()
     if repair:
-        from mission.predict import fix
-
         repaired = fix(plan, site.terrain, site.area, allowed_station(site))
         plan, prediction, added = rerouted(repaired.plan, site), repaired.after, repaired.added
         notes.append(repaired.reason)

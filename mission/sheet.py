@@ -107,7 +107,8 @@ def _header(planned: Planned) -> str:
     elif planned.prediction.verdict is Verdict.TRUST:
         kind, sign, word, text = "trust", "pass", "READY", planned.prediction.reason
     else:
-        kind, sign, word, text = "cannot_tell", "unknown", "WILL NOT CALIBRATE", planned.prediction.reason
+        word = f"{VERDICT_WORDS[planned.prediction.verdict]} EXPECTED"
+        kind, sign, text = "cannot_tell", "unknown", planned.prediction.reason
     return (
         f'<header class="verdict {kind}"><h1>{_sign(sign)}<span>{word}</span></h1>'
         f"<p>{_sentence(text)}</p></header>"
