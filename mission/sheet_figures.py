@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import plotly.graph_objects as go
 import shapely
+from shapely import Polygon
 from shapely.geometry.base import BaseGeometry
 
 from calib.camera import FloatArray
@@ -42,9 +43,9 @@ def map_figure(planned: Planned) -> go.Figure:
     figure = go.Figure()
     _outline(figure, site.area, "area", INK, "solid", "rgba(0,89,43,0.10)")
     if site.space.has_zones:
-        west, south, east, north = _extent(planned)
-        frame = shapely.box(west, south, east, north)
-        _outline(figure, site.space.fence_area.intersection(frame), "fence", "#9b0000", "dash", None)
+        # Its outline, not its area: cut to the picture, the area would get edges that are none.
+        frame = shapely.box(*_extent(planned))
+        _outline(figure, site.space.fence_area.boundary.intersection(frame), "fence", "#9b0000", "dash", None)
     for structure in site.space.structures:
         label = f"{html_text(structure.name)}, {structure.height_m:g} m"
         _outline(figure, structure.outline, label, INK, "solid", "rgba(60,60,60,0.55)")
@@ -181,8 +182,8 @@ def _outline(
 ) -> None:
     rings: list[FloatArray] = []
     for part in shapely.get_parts(shape):
-        for ring in (part.exterior, *part.interiors):
-            rings += [np.asarray(ring.coords)[:, :2], np.full((1, 2), np.nan)]
+        for ring in (part.exterior, *part.interiors) if isinstance(part, Polygon) else (part,):
+            rings += [shapely.get_coordinates(ring), np.full((1, 2), np.nan)]
     if not rings:
         return
     xy = np.concatenate(rings)
