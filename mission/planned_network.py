@@ -8,6 +8,7 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from scipy.spatial import cKDTree
 from shapely import Polygon
 
 from calib.align.selfcal import BASIC, lens_priors, mask
@@ -19,6 +20,7 @@ from calib.frames import rotation_cam_from_world
 from calib.network_design import CameraNetwork, Known, dome_functional
 from calib.network_views import SIMULATED, Matching, nearest_view_deg, seen_points
 from calib.photos.photo import GimbalAngles
+from calib.solution import IntArray
 from mission.plan import Station
 from mission.terrain_height import Terrain
 
@@ -27,6 +29,10 @@ from mission.terrain_height import Terrain
 #: square over the five convergent rows of (reported / formal sigma) is 1.5 (rolling shutter 1.0,
 #: aspect 1.0, pattern 1.0, correlated noise 2.9, none 1.0), errors then lie within it.
 MODEL_ERROR_FACTOR = 1.5
+#: Blocks of more photos are thinned; the photos kept stand for their neighbours, with their weight.
+MANY_PHOTOS = 1000
+#: How far apart these are at most, in shorter sides of a photo on the ground.
+WIDEST_SPACING = 0.45
 #: Irrational steps of the evenest sequence in the plane (Roberts 2018, The R2 sequence).
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])
 
@@ -125,6 +131,41 @@ def footprint_m2(camera: BrownCamera, height_m: float) -> float:
     return camera.width * camera.height * (height_m / camera.f_px) ** 2
 
 
+def representatives(
+    rotations: FloatArray, centres_m: FloatArray, spacing_m: float
+) -> tuple[IntArray, FloatArray]:
+    """Photos (r,) that stand for all, and for how many each (r,).
+
+    A photo is stood for by an earlier one within ``spacing_m`` that looks the same way (10 degrees).
+    """
+    axis = rotations[:, 2, :]
+    near = cKDTree(centres_m).query_ball_point(centres_m, spacing_m, return_sorted=True)
+    owner = np.full(len(centres_m), -1)
+    for i, others in enumerate(near):
+        if owner[i] >= 0:
+            continue
+        mine = np.array(others)
+        mine = mine[(owner[mine] < 0) & (axis[mine] @ axis[i] > math.cos(math.radians(10.0)))]
+        owner[mine] = i
+        owner[i] = i
+    kept, counts = np.unique(owner, return_counts=True)
+    return kept, counts.astype(float)
+
+
+def _thinned(
+    rotations: FloatArray, centres_m: FloatArray, camera: BrownCamera, height_m: float
+) -> tuple[IntArray, FloatArray]:
+    """Representatives of a large block: as few as needed, but still with generous overlap."""
+    everyone = np.arange(len(centres_m)), np.ones(len(centres_m))
+    widest = WIDEST_SPACING * min(camera.width, camera.height) / camera.f_px * height_m
+    found = everyone
+    for share in (0.4, 0.6, 0.8, 1.0):
+        if len(found[0]) <= MANY_PHOTOS:
+            break
+        found = representatives(rotations, centres_m, share * widest)
+    return found
+
+
 def planned_network(
     stations: Sequence[Station],
     camera: BrownCamera,
@@ -143,30 +184,32 @@ def planned_network(
         raise InputError(
             "The plan has fewer than two photos above the ground, so there is nothing to predict."
         )
+    kept, stands_for = _thinned(rotations, centres, camera, height)
+    rotations, centres = rotations[kept], centres[kept]
     per_point = footprint_m2(camera, height) / assumptions.points_per_photo
     hull = shapely.MultiPoint(centres[:, :2]).convex_hull.buffer(1.3 * height)
     points = ground_points(hull, per_point, terrain)
     photo, point = seen_points(camera, rotations, centres, points, assumptions.matching.max_incidence_deg)
     share = assumptions.matching.share(nearest_view_deg(photo, point, centres, points))
+    # Who stands for others has had those others beside it.
+    share = np.where(stands_for[photo] > 1, assumptions.matching.shares[0], share)
     used = share > 0.05
     used &= (np.bincount(point[used], minlength=len(points)) >= 2)[point]
     if not used.any():
         raise InputError("No two photos of the plan overlap, so there is nothing to predict.")
     old, point = np.unique(point[used], return_inverse=True)
     lens = Lens(camera)
-    mean, lens_sigma = lens_priors(camera.width, camera.f_px)
-    del mean
+    lens_sigma = lens_priors(camera.width, camera.f_px)[1]
     free = mask((*BASIC, "k3", "p1", "p2", "b1", "b2"), field=True)
-    k = len(stations)
+    certain = 1 / np.sqrt(stands_for)
     known = Known(
-        centre_sigma_m=np.full((k, 3), assumptions.position_sigma_m),
-        rotation_sigma_rad=np.full(k, math.radians(assumptions.attitude_sigma_deg)),
+        centre_sigma_m=np.repeat(assumptions.position_sigma_m * certain[:, None], 3, axis=1),
+        rotation_sigma_rad=math.radians(assumptions.attitude_sigma_deg) * certain,
         lens_sigma=lens_sigma,
         free=free,
     )
-    network = CameraNetwork(
-        lens, rotations, centres, points[old], photo[used], point, assumptions.sigma_px / np.sqrt(share[used])
-    )
+    sigma = assumptions.sigma_px * certain[photo[used]] / np.sqrt(share[used])
+    network = CameraNetwork(lens, rotations, centres, points[old], photo[used], point, sigma)
     gradient = fit_brown(lens)[1][0, free]
     return PlannedNetwork(
         network, known, dome_functional(network.points_m)[None], gradient, height, assumptions
