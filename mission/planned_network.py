@@ -11,6 +11,7 @@ import shapely
 from scipy.spatial import cKDTree
 from shapely import Polygon
 
+from calib.align.adjust import rotation_exp
 from calib.align.selfcal import BASIC, lens_priors, mask
 from calib.brownfit import fit_brown
 from calib.camera import BrownCamera, FloatArray
@@ -43,7 +44,9 @@ class Assumptions:
 
     ``tie_points_per_photo``: matched points of a photo among others that look alike; a straight-down
     photo is modelled with ``points_per_photo`` of the corresponding weight. ``position_sigma_m`` and
-    ``attitude_sigma_deg`` are the priors that an alignment will have. ``model_error_factor``
+    ``attitude_sigma_deg`` are the priors that an alignment will have; ``attitude_scatter_deg`` is how
+    far the photos will look beside their stations (perfectly alike views of perfectly flat ground
+    would be worth less than real ones). ``model_error_factor``
     multiplies every sigma.
     """
 
@@ -52,6 +55,7 @@ class Assumptions:
     matching: Matching = SIMULATED
     position_sigma_m: float = 5.0
     attitude_sigma_deg: float = 5.0
+    attitude_scatter_deg: float = 1.5
     model_error_factor: float = MODEL_ERROR_FACTOR
     points_per_photo: int = 40
 
@@ -90,11 +94,28 @@ class PlannedNetwork:
         return factor * f / self.network.lens.brown.f_px, factor * by_lens / self.height_agl_m
 
 
-def poses(stations: Sequence[Station]) -> tuple[FloatArray, FloatArray]:
-    """cam_from_world rotations (k, 3, 3) and centres (k, 3)."""
-    rotations = [rotation_cam_from_world(GimbalAngles(s.yaw_deg, s.pitch_deg, 0.0)) for s in stations]
-    centres = [(s.east_m, s.north_m, s.height_m) for s in stations]
-    return np.array(rotations).reshape(-1, 3, 3), np.array(centres, dtype=float).reshape(-1, 3)
+def poses(stations: Sequence[Station], attitude_scatter_deg: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """cam_from_world rotations (k, 3, 3) and centres (k, 3), turned as wind and gimbal will turn them.
+
+    The scatter (standard deviation about each axis) belongs to the station: the same every time.
+    """
+    rotations = np.array(
+        [rotation_cam_from_world(GimbalAngles(s.yaw_deg, s.pitch_deg, 0.0)) for s in stations]
+    ).reshape(-1, 3, 3)
+    centres = np.array([(s.east_m, s.north_m, s.height_m) for s in stations], dtype=float).reshape(-1, 3)
+    if attitude_scatter_deg > 0:
+        angles = np.array([(s.yaw_deg, s.pitch_deg) for s in stations])
+        rotations = rotation_exp(math.radians(attitude_scatter_deg) * _scatter(centres, angles)) @ rotations
+    return rotations, centres
+
+
+def _scatter(centres_m: FloatArray, angles_deg: FloatArray) -> FloatArray:
+    """Normal numbers (k, 3) that depend on nothing but the station: hashed, then Box and Muller 1958."""
+    seed = centres_m @ [12.9898, 78.233, 37.719] + angles_deg @ [4.581, 9.157]
+    unit = np.abs(np.sin(seed[:, None] + np.array([0.0, 1.7, 3.1, 5.3, 7.9, 9.7])) * 43758.5453) % 1.0
+    size, turn = np.sqrt(-2 * np.log(np.clip(unit[:, :3], 1e-9, 1.0))), 2 * math.pi * unit[:, 3:]
+    normal: FloatArray = np.clip(size * np.cos(turn), -3.0, 3.0)
+    return normal
 
 
 def even_points(outline: Polygon, per_point_m2: float) -> FloatArray:
@@ -177,7 +198,7 @@ def planned_network(
     Raises:
         InputError: no two photos overlap.
     """
-    rotations, centres = poses(stations)
+    rotations, centres = poses(stations, assumptions.attitude_scatter_deg)
     agl = centres[:, 2] - ground_heights_m(terrain, centres)
     height = float(np.median(agl))
     if len(stations) < 2 or height <= 0:
