@@ -86,8 +86,8 @@ class Candidates:
             return []
         most = most_points or self.most_points
         planned, joint = self.planned, self.joint
-        rotations, centres = poses(stations)
         camera, given = planned.network.lens.brown, planned.assumptions
+        rotations, centres = poses(stations, given.attitude_scatter_deg)
         photo, point = seen_points(
             camera, rotations, centres, joint.points_m, given.matching.max_incidence_deg
         )

@@ -24,6 +24,8 @@ DOME_SIGMA_PERCENT = 0.05
 MOST_ADDED = 40
 #: Candidates looked at in every round after the first.
 SHORT_LIST = 80
+#: Pools of fewer photos than this are searched from more than one start.
+SMALL_POOL = 200
 #: Of the exchanges that save time, how many are looked at, and of those how many tried in full.
 _LOOKED_AT, _TRIED = 40, 5
 
@@ -190,11 +192,15 @@ class Search:
             # The others take longer.
             if found[-1].good:
                 break
-        for by_time in (True, False):
-            cheapest = min((c.seconds for c in found if c.good), default=math.inf)
-            found.append(self.greedy(by_time=by_time, most_s=1.5 * cheapest))
+        # Small pools are searched from many first photos.
+        firsts = sorted(range(len(self.pool)), key=lambda i: (self._alone(i), i))
+        starts: list[tuple[int, ...]] = [(), *((i,) for i in firsts[: min(SMALL_POOL // len(firsts), 10)])]
+        for start in starts:
+            for by_time in (True, False):
+                cheapest = min((c.seconds for c in found if c.good), default=math.inf)
+                found.append(self.greedy(start, by_time, 1.5 * cheapest))
         good = sorted((c for c in found if c.good), key=lambda c: (c.seconds, c.photos))
         if not good:
             return min(found, key=lambda c: (c.ratio, c.seconds, c.photos))
-        improved = [self.exchange(c) for c in good[:2]]
+        improved = [self.exchange(c) for c in dict.fromkeys(good[: 2 + len(starts)])]
         return min(improved, key=lambda c: (c.seconds, c.photos))

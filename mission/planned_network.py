@@ -8,8 +8,10 @@ from dataclasses import dataclass
 
 import numpy as np
 import shapely
+from scipy.spatial import cKDTree
 from shapely import Polygon
 
+from calib.align.adjust import rotation_exp
 from calib.align.selfcal import BASIC, lens_priors, mask
 from calib.brownfit import fit_brown
 from calib.camera import BrownCamera, FloatArray
@@ -19,6 +21,7 @@ from calib.frames import rotation_cam_from_world
 from calib.network_design import CameraNetwork, Known, dome_functional
 from calib.network_views import SIMULATED, Matching, nearest_view_deg, seen_points
 from calib.photos.photo import GimbalAngles
+from calib.solution import IntArray
 from mission.plan import Station
 from mission.terrain_height import Terrain
 
@@ -27,6 +30,10 @@ from mission.terrain_height import Terrain
 #: square over the five convergent rows of (reported / formal sigma) is 1.5 (rolling shutter 1.0,
 #: aspect 1.0, pattern 1.0, correlated noise 2.9, none 1.0), errors then lie within it.
 MODEL_ERROR_FACTOR = 1.5
+#: Blocks of more photos are thinned; the photos kept stand for their neighbours, with their weight.
+MANY_PHOTOS = 1000
+#: How far apart these are at most, in shorter sides of a photo on the ground.
+WIDEST_SPACING = 0.45
 #: Irrational steps of the evenest sequence in the plane (Roberts 2018, The R2 sequence).
 _R2 = np.array([0.7548776662466927, 0.5698402909980532])
 
@@ -37,7 +44,9 @@ class Assumptions:
 
     ``tie_points_per_photo``: matched points of a photo among others that look alike; a straight-down
     photo is modelled with ``points_per_photo`` of the corresponding weight. ``position_sigma_m`` and
-    ``attitude_sigma_deg`` are the priors that an alignment will have. ``model_error_factor``
+    ``attitude_sigma_deg`` are the priors that an alignment will have; ``attitude_scatter_deg`` is how
+    far the photos will look beside their stations (perfectly alike views of perfectly flat ground
+    would be worth less than real ones). ``model_error_factor``
     multiplies every sigma.
     """
 
@@ -46,6 +55,7 @@ class Assumptions:
     matching: Matching = SIMULATED
     position_sigma_m: float = 5.0
     attitude_sigma_deg: float = 5.0
+    attitude_scatter_deg: float = 1.5
     model_error_factor: float = MODEL_ERROR_FACTOR
     points_per_photo: int = 40
 
@@ -84,11 +94,28 @@ class PlannedNetwork:
         return factor * f / self.network.lens.brown.f_px, factor * by_lens / self.height_agl_m
 
 
-def poses(stations: Sequence[Station]) -> tuple[FloatArray, FloatArray]:
-    """cam_from_world rotations (k, 3, 3) and centres (k, 3)."""
-    rotations = [rotation_cam_from_world(GimbalAngles(s.yaw_deg, s.pitch_deg, 0.0)) for s in stations]
-    centres = [(s.east_m, s.north_m, s.height_m) for s in stations]
-    return np.array(rotations).reshape(-1, 3, 3), np.array(centres, dtype=float).reshape(-1, 3)
+def poses(stations: Sequence[Station], attitude_scatter_deg: float = 0.0) -> tuple[FloatArray, FloatArray]:
+    """cam_from_world rotations (k, 3, 3) and centres (k, 3), turned as wind and gimbal will turn them.
+
+    The scatter (standard deviation about each axis) belongs to the station: the same every time.
+    """
+    rotations = np.array(
+        [rotation_cam_from_world(GimbalAngles(s.yaw_deg, s.pitch_deg, 0.0)) for s in stations]
+    ).reshape(-1, 3, 3)
+    centres = np.array([(s.east_m, s.north_m, s.height_m) for s in stations], dtype=float).reshape(-1, 3)
+    if attitude_scatter_deg > 0:
+        angles = np.array([(s.yaw_deg, s.pitch_deg) for s in stations])
+        rotations = rotation_exp(math.radians(attitude_scatter_deg) * _scatter(centres, angles)) @ rotations
+    return rotations, centres
+
+
+def _scatter(centres_m: FloatArray, angles_deg: FloatArray) -> FloatArray:
+    """Normal numbers (k, 3) that depend on nothing but the station: hashed, then Box and Muller 1958."""
+    seed = centres_m @ [12.9898, 78.233, 37.719] + angles_deg @ [4.581, 9.157]
+    unit = np.abs(np.sin(seed[:, None] + np.array([0.0, 1.7, 3.1, 5.3, 7.9, 9.7])) * 43758.5453) % 1.0
+    size, turn = np.sqrt(-2 * np.log(np.clip(unit[:, :3], 1e-9, 1.0))), 2 * math.pi * unit[:, 3:]
+    normal: FloatArray = np.clip(size * np.cos(turn), -3.0, 3.0)
+    return normal
 
 
 def even_points(outline: Polygon, per_point_m2: float) -> FloatArray:
@@ -125,6 +152,41 @@ def footprint_m2(camera: BrownCamera, height_m: float) -> float:
     return camera.width * camera.height * (height_m / camera.f_px) ** 2
 
 
+def representatives(
+    rotations: FloatArray, centres_m: FloatArray, spacing_m: float
+) -> tuple[IntArray, FloatArray]:
+    """Photos (r,) that stand for all, and for how many each (r,).
+
+    A photo is stood for by an earlier one within ``spacing_m`` that looks the same way (10 degrees).
+    """
+    axis = rotations[:, 2, :]
+    near = cKDTree(centres_m).query_ball_point(centres_m, spacing_m, return_sorted=True)
+    owner = np.full(len(centres_m), -1)
+    for i, others in enumerate(near):
+        if owner[i] >= 0:
+            continue
+        mine = np.array(others)
+        mine = mine[(owner[mine] < 0) & (axis[mine] @ axis[i] > math.cos(math.radians(10.0)))]
+        owner[mine] = i
+        owner[i] = i
+    kept, counts = np.unique(owner, return_counts=True)
+    return kept, counts.astype(float)
+
+
+def _thinned(
+    rotations: FloatArray, centres_m: FloatArray, camera: BrownCamera, height_m: float
+) -> tuple[IntArray, FloatArray]:
+    """Representatives of a large block: as few as needed, but still with generous overlap."""
+    everyone = np.arange(len(centres_m)), np.ones(len(centres_m))
+    widest = WIDEST_SPACING * min(camera.width, camera.height) / camera.f_px * height_m
+    found = everyone
+    for share in (0.4, 0.6, 0.8, 1.0):
+        if len(found[0]) <= MANY_PHOTOS:
+            break
+        found = representatives(rotations, centres_m, share * widest)
+    return found
+
+
 def planned_network(
     stations: Sequence[Station],
     camera: BrownCamera,
@@ -136,37 +198,39 @@ def planned_network(
     Raises:
         InputError: no two photos overlap.
     """
-    rotations, centres = poses(stations)
+    rotations, centres = poses(stations, assumptions.attitude_scatter_deg)
     agl = centres[:, 2] - ground_heights_m(terrain, centres)
     height = float(np.median(agl))
     if len(stations) < 2 or height <= 0:
         raise InputError(
             "The plan has fewer than two photos above the ground, so there is nothing to predict."
         )
+    kept, stands_for = _thinned(rotations, centres, camera, height)
+    rotations, centres = rotations[kept], centres[kept]
     per_point = footprint_m2(camera, height) / assumptions.points_per_photo
     hull = shapely.MultiPoint(centres[:, :2]).convex_hull.buffer(1.3 * height)
     points = ground_points(hull, per_point, terrain)
     photo, point = seen_points(camera, rotations, centres, points, assumptions.matching.max_incidence_deg)
     share = assumptions.matching.share(nearest_view_deg(photo, point, centres, points))
+    # Who stands for others has had those others beside it.
+    share = np.where(stands_for[photo] > 1, assumptions.matching.shares[0], share)
     used = share > 0.05
     used &= (np.bincount(point[used], minlength=len(points)) >= 2)[point]
     if not used.any():
         raise InputError("No two photos of the plan overlap, so there is nothing to predict.")
     old, point = np.unique(point[used], return_inverse=True)
     lens = Lens(camera)
-    mean, lens_sigma = lens_priors(camera.width, camera.f_px)
-    del mean
+    lens_sigma = lens_priors(camera.width, camera.f_px)[1]
     free = mask((*BASIC, "k3", "p1", "p2", "b1", "b2"), field=True)
-    k = len(stations)
+    certain = 1 / np.sqrt(stands_for)
     known = Known(
-        centre_sigma_m=np.full((k, 3), assumptions.position_sigma_m),
-        rotation_sigma_rad=np.full(k, math.radians(assumptions.attitude_sigma_deg)),
+        centre_sigma_m=np.repeat(assumptions.position_sigma_m * certain[:, None], 3, axis=1),
+        rotation_sigma_rad=math.radians(assumptions.attitude_sigma_deg) * certain,
         lens_sigma=lens_sigma,
         free=free,
     )
-    network = CameraNetwork(
-        lens, rotations, centres, points[old], photo[used], point, assumptions.sigma_px / np.sqrt(share[used])
-    )
+    sigma = assumptions.sigma_px * certain[photo[used]] / np.sqrt(share[used])
+    network = CameraNetwork(lens, rotations, centres, points[old], photo[used], point, sigma)
     gradient = fit_brown(lens)[1][0, free]
     return PlannedNetwork(
         network, known, dome_functional(network.points_m)[None], gradient, height, assumptions

@@ -22,7 +22,7 @@ from calib.network_views import seen_points
 from calib.propagation import radial_px_covariance
 from calib.rules_network import convergent_share, focal_sigma
 from mission.plan import Plan, Station, stations
-from mission.planned_network import Assumptions, ground_heights_m, ground_points, planned_network
+from mission.planned_network import Assumptions, ground_heights_m, ground_points, planned_network, poses
 from mission.terrain_height import LevelGround, Terrain
 
 #: Places of the area at which overlap and ground resolution are looked at.
@@ -94,8 +94,9 @@ def predict_stations(
     sigma_f = math.sqrt(brown[0, 0])
     dome_m = factor * float(information.functional_sigma[0])
     tilt = np.array([90.0 + s.pitch_deg for s in photos])
-    agl = net.centres_m[:, 2] - ground_heights_m(terrain, net.centres_m)
-    views, at, gsd_m = _cover(net.rotations, net.centres_m, camera, terrain, area)
+    rotations, centres = poses(photos)
+    agl = centres[:, 2] - ground_heights_m(terrain, centres)
+    views, at, gsd_m = _cover(rotations, centres, camera, terrain, area)
     evidence = Evidence(
         f_px=camera.f_px,
         sigma_f_px=sigma_f,

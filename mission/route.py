@@ -80,6 +80,12 @@ class Detours:
         self._from = legs_s(self.vehicle, self._starts[:, None], s[None])
         self._to = legs_s(self.vehicle, s[None], self._ends[:, None])
 
+    def keep(self, count: int) -> None:
+        """Forget all stations but the first ``count``."""
+        kept, self._stations = self._stations[:count], np.zeros((0, 3))
+        self._known.clear()
+        self.add(kept)
+
     def seconds(self, chosen: Sequence[int]) -> float:
         """Extra time in the air for the photos ``chosen``."""
         return self._best(tuple(sorted(chosen)))[0]
