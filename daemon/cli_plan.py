@@ -234,6 +234,7 @@ def plan(
     }  # fmt: skip
     options = checked(given, "the command line", {k: f"option {v}" for k, v in _OPTIONS.items()})
     keys = options if site is None else overlaid(read_site_file(site), options)
+    _keep_inputs(outputs, [keys.area, keys.camera, keys.dem, site, *(z.outline for z in keys.fence)])
     planned = make_plan(names, keys, repair, str(site) if site else "the command line")
     _deliver(planned, outputs, _Delivery(json_target, autopilot, force))
 
@@ -306,6 +307,18 @@ def _checked_outputs(out: list[Path], json_target: str | None) -> list[Path]:
     if json_target is not None and json_target != "-":
         check_file_writable(Path(json_target))
     return out
+
+
+def _keep_inputs(outputs: list[Path], inputs: list[Any]) -> None:
+    """Refuse to write over what the plan is made from: an area is a .kml, too."""
+    given = {
+        Path(i).expanduser().resolve() for i in inputs if isinstance(i, (str, Path)) and len(str(i)) < 4096
+    }
+    for path in outputs:
+        if path.resolve() in given:
+            raise InputError(
+                f"{path} is an input of this plan and would be overwritten; choose another name."
+            )
 
 
 def _numbers(text: str | None, option: str, *counts: int) -> list[float] | None:

@@ -143,6 +143,14 @@ def test_mistakes_are_one_sentence(
     assert said.count("\n") == 1
 
 
+def test_inputs_are_not_overwritten(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    area = tmp_path / "field.kml"
+    area.write_text(KML)
+    assert cli.run(["plan", "nadir", *BASE, "--area", str(area), "--out", "field.kml"]) == 2
+    assert "would be overwritten" in capsys.readouterr().err
+    assert area.read_text() == KML
+
+
 def test_a_camera_file_will_do(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
     path = tmp_path / "camera.xml"
     write_calibration(BrownCamera.ideal(4000, 3000, 2500.0), "metashape", path)
