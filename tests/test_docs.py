@@ -9,6 +9,7 @@ import io
 import json
 import re
 import shlex
+import tomllib
 from collections.abc import Iterator
 from pathlib import Path
 
@@ -25,6 +26,8 @@ from calib.report_json import CheckReport
 from calib.wording import RULE_TITLES
 from daemon import cli
 from daemon.cli_check import REFERENCE_SIGMA_PERCENT
+from mission.patterns import DESCRIPTIONS
+from mission.site_file import SiteFile
 
 ROOT = Path(__file__).resolve().parent.parent
 PAGES = sorted([*ROOT.glob("*.md"), *(ROOT / "docs").glob("*.md")])
@@ -35,13 +38,14 @@ COMMANDS = (
     ("check",),
     ("equifinal",),
     ("perturb",),
+    ("plan",),
     ("cameras",),
     *(("cameras", sub) for sub in ("list", "show", "compare", "import", "export")),
     ("sim",),
     *(("sim", sub) for sub in ("list", "survey")),
 )
-#: Options of other programs that the docs mention.
-FOREIGN = {"--cameras", "--geo", "--strict"}
+#: Options of other programs that the docs mention, and the other side of a switch.
+FOREIGN = {"--cameras", "--counter-clockwise", "--geo", "--strict"}
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 _FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -131,6 +135,7 @@ def test_no_option_is_invented(name: str, options: dict[tuple[str, ...], set[str
         ("docs/check.md", [("check",)]),
         ("docs/equifinal.md", [("equifinal",)]),
         ("docs/perturb.md", [("perturb",)]),
+        ("docs/planning.md", [("plan",)]),
         ("docs/cameras.md", [("cameras", "import"), ("cameras", "export")]),
         ("docs/simulator.md", [("sim", "survey")]),
     ],
@@ -218,6 +223,40 @@ def test_constants(row: list[str]) -> None:
 def test_report_json_example_has_the_schema() -> None:
     ((_, example),) = [block for block in _blocks("json") if "fieldcal.check/1" in block[1]]
     CheckReport.model_validate(json.loads(example))
+
+
+def test_plan_json_example_has_the_fields() -> None:
+    ((_, example),) = [block for block in _blocks("json") if "fieldcal.plan/1" in block[1]]
+    shown = json.loads(example)
+    with contextlib.redirect_stdout(io.TextIOWrapper(io.BytesIO(), encoding="utf-8")) as out:
+        circle = "54.77,-1.58,20"
+        words = ["plan", "fan", "--area", circle, "--camera", "dji-phantom-3-professional", "--height", "60"]
+        assert cli.run([*words, "--json", "-"]) == 0
+        out.seek(0)
+        printed = json.loads(out.read())
+
+    def fields(value: object) -> object:
+        if isinstance(value, dict):
+            return {key: fields(item) for key, item in value.items()}
+        return [fields(value[0])] if isinstance(value, list) and value else None
+
+    assert fields(shown | {"notes": []}) == fields(printed | {"notes": []})
+
+
+def test_patterns_and_limits_are_all_listed() -> None:
+    patterns = _rows("docs/planning.md", "| pattern | what it flies |")
+    assert [row[0] for row in patterns] == list(DESCRIPTIONS)
+    rules = _rows("docs/planning.md", "| rule | hard | what must hold | option |")
+    assert len(rules) == len({row[0] for row in rules}) == 12
+
+
+def test_site_file_example_is_valid() -> None:
+    ((_, example),) = _blocks("toml")
+    keys = SiteFile.model_validate(tomllib.loads(example))
+    text = _text("docs/planning.md")
+    for model in (keys, keys.vehicle, keys.wind, keys.fence[0], keys.structure[0], keys.wall, keys.pattern):
+        for key in type(model).model_fields:
+            assert key in text, key
 
 
 def test_formats_and_exports_are_all_listed() -> None:

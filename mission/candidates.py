@@ -1,0 +1,173 @@
+"""Photos that might be added: single stations, rings, and what each would measure."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+
+import numpy as np
+
+from calib.camera import FloatArray
+from calib.network_extension import Joint, PhotoPool, PhotoRows, joint_covariance, photo_rows
+from calib.network_views import angle_to_views_deg, seen_points
+from calib.solution import IntArray
+from mission.plan import Station, Vehicle
+from mission.planned_network import PlannedNetwork, poses
+from mission.route import Detours, Gap
+
+#: Ground points of one candidate photo that are used, and the fewest with which it counts.
+MOST_POINTS, LEAST_POINTS = 24, 8
+#: Points of the network around the place of the extra photos, at most.
+WINDOW_POINTS = 260
+#: Tilts off nadir, heights over the survey's, and numbers of photos of the rings tried.
+TILTS_DEG = (20.0, 30.0, 40.0)
+HEIGHT_FACTORS = (1.0, 1.3)
+RING_PHOTOS = (4, 6, 8, 12, 16)
+PATTERN = "fix"
+
+
+class Candidates:
+    """A pool of photos over one network around ``middle_m`` (2,), growing while it is searched."""
+
+    def __init__(
+        self,
+        planned: PlannedNetwork,
+        middle_m: FloatArray,
+        vehicle: Vehicle,
+        gaps: Sequence[Gap],
+        feasible: Callable[[Station], bool] | None,
+        most_points: int = MOST_POINTS,
+    ) -> None:
+        self.planned, self.vehicle, self.most_points = planned, vehicle, most_points
+        self.feasible = feasible or (lambda _: True)
+        net = planned.network
+        away = np.linalg.norm(net.points_m[:, :2] - middle_m, axis=1)
+        near = np.argsort(away, kind="stable")[:WINDOW_POINTS]
+        near = np.sort(near[away[near] < 2.5 * planned.height_agl_m])
+        self.joint: Joint = joint_covariance(net, planned.known, planned.functionals, near)
+        place = np.full(len(net.points_m), -1)
+        place[near] = np.arange(len(near))
+        views = place[net.point] >= 0
+        self._view_point = place[net.point[views]]
+        ray = net.centres_m[net.photo[views]] - net.points_m[net.point[views]]
+        self._view_ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+        self.stations: list[Station] = []
+        self.pool = PhotoPool(self.joint, [])
+        self.detours = Detours(vehicle, gaps, np.zeros((0, 3)))
+        self._index: dict[Station, int] = {}
+
+    def add(self, stations: Sequence[Station]) -> list[int | None]:
+        """Their numbers in the pool; None where a photo is not allowed or sees too little."""
+        new = [
+            s
+            for s in dict.fromkeys(stations)
+            if s not in self._index
+            and self.vehicle.gimbal_lowest_deg <= s.pitch_deg <= self.vehicle.gimbal_highest_deg
+            and self.feasible(s)
+        ]
+        kept = []
+        for station, rows in zip(new, self._rows(new), strict=True):
+            if rows is not None:
+                self._index[station] = len(self.stations)
+                self.stations.append(station)
+                self.pool.rows.append(rows)
+                kept.append([station.east_m, station.north_m, station.height_m])
+        if kept:
+            self.detours.add(np.array(kept))
+        return [self._index.get(s) for s in stations]
+
+    def dense_pool(self, photos: Sequence[int]) -> PhotoPool:
+        """The same photos with all the points that they see: what the short ones are checked with."""
+        rows = self._rows([self.stations[i] for i in photos], most_points=10**6)
+        return PhotoPool(self.joint, [r for r in rows if r is not None])
+
+    def _rows(self, stations: Sequence[Station], most_points: int | None = None) -> list[PhotoRows | None]:
+        if not stations:
+            return []
+        most = most_points or self.most_points
+        planned, joint = self.planned, self.joint
+        camera, given = planned.network.lens.brown, planned.assumptions
+        rotations, centres = poses(stations, given.attitude_scatter_deg)
+        photo, point = seen_points(
+            camera, rotations, centres, joint.points_m, given.matching.max_incidence_deg
+        )
+        ray = centres[photo] - joint.points_m[point]
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        angle = angle_to_views_deg(ray, point, self._view_ray, self._view_point, len(joint.points_m))
+        share = given.matching.share(angle)
+        used = share > 0.02
+        photo, point, share = photo[used], point[used], share[used]
+        found: list[PhotoRows | None] = []
+        pose_sigma = (math.radians(given.attitude_sigma_deg), given.position_sigma_m)
+        for i in range(len(stations)):
+            mine = np.flatnonzero(photo == i)
+            if len(mine) < LEAST_POINTS:
+                found.append(None)
+                continue
+            weight = 1.0
+            if len(mine) > most:
+                # Every n-th of an even sequence is even again.
+                part: IntArray = mine[np.linspace(0, len(mine) - 1, most).astype(int)]
+                weight, mine = float(share[mine].sum() / share[part].sum()), part
+            sigma = given.sigma_px / np.sqrt(weight * share[mine])
+            found.append(
+                photo_rows(
+                    joint, planned.network.lens, planned.known, rotations[i], centres[i], point[mine], sigma,
+                    pose_sigma,
+                )
+            )  # fmt: skip
+        return found
+
+
+def single_stations(middle_m: FloatArray, ground_m: float, height_m: float) -> list[Station]:
+    """Photos on a grid of places, heights, directions and tilts that look at the ground around ``middle_m``.
+
+    ``middle_m`` (2,), ``ground_m``: ground height there, ``height_m``: of the survey above ground.
+    """
+    found = []
+    steps = np.arange(-3, 4) * 0.5
+    for factor in HEIGHT_FACTORS:
+        h = factor * height_m
+        for x in steps:
+            for y in steps:
+                for tilt in TILTS_DEG:
+                    for yaw in range(0, 360, 45):
+                        reach = factor * math.tan(math.radians(tilt))
+                        aim = np.array([x, y]) + reach * np.array(
+                            [math.sin(math.radians(yaw)), math.cos(math.radians(yaw))]
+                        )
+                        if np.hypot(*aim) <= 0.55:
+                            found.append(
+                                Station(
+                                    float(middle_m[0] + x * height_m),
+                                    float(middle_m[1] + y * height_m),
+                                    ground_m + h,
+                                    float(yaw),
+                                    tilt - 90.0,
+                                    PATTERN,
+                                )
+                            )
+    return found
+
+
+def rings(middle_m: FloatArray, ground_m: float, height_m: float) -> list[list[Station]]:
+    """Orbits and fans around ``middle_m``: circles of photos that look at it."""
+    found = []
+    for factor in HEIGHT_FACTORS:
+        for tilt in (30.0, 40.0):
+            radius = factor * height_m * math.tan(math.radians(tilt))
+            for count in RING_PHOTOS:
+                found.append(
+                    [
+                        Station(
+                            float(middle_m[0] + radius * math.sin(a)),
+                            float(middle_m[1] + radius * math.cos(a)),
+                            ground_m + factor * height_m,
+                            (math.degrees(a) + 180.0) % 360.0,
+                            tilt - 90.0,
+                            PATTERN,
+                        )
+                        for a in 2 * math.pi * np.arange(count) / count
+                    ]
+                )
+    return found

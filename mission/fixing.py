@@ -1,0 +1,253 @@
+"""``plan --fix``: the cheapest extra photos that make a planned mission calibrate, safely."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import shapely
+import shapely.ops
+from shapely import Polygon
+
+from calib.camera import FloatArray
+from calib.limits import percent
+from mission.candidates import Candidates, rings, single_stations
+from mission.optimise import Choice, Criterion, Search
+from mission.plan import Plan, Shot, Station, Waypoint, stations
+from mission.planned_network import Assumptions, PlannedNetwork, ground_heights_m, planned_network
+from mission.prediction import Prediction, predict_stations
+from mission.route import Gap, plan_gaps, with_stops
+from mission.terrain_height import LevelGround, Terrain
+
+#: Gaps of the path that are looked at, the nearest to the place of the extra photos.
+MOST_GAPS = 6
+
+
+@dataclass(frozen=True)
+class Fix:
+    """Photos added to a plan so that it calibrates, robustly.
+
+    ``plan`` has the additions in its path; ``added`` is empty where none are needed or none help.
+    ``seconds``: what they cost in the air. ``binding_limit``: None where the criterion is met,
+    otherwise what stands against it, in words. ``after`` is with all additions taken.
+    """
+
+    plan: Plan
+    added: tuple[Station, ...]
+    seconds: float
+    before: Prediction
+    after: Prediction
+    reason: str
+    binding_limit: str | None
+
+
+def fix(
+    plan: Plan,
+    terrain: Terrain | None = None,
+    area: Polygon | None = None,
+    feasible: Callable[[Station], bool] | None = None,
+    assumptions: Assumptions | None = None,
+    criterion: Criterion | None = None,
+) -> Fix:
+    """Add the cheapest photos that bring the plan inside ``criterion`` with any one of them missing.
+
+    Args:
+        terrain, area: as for :func:`mission.prediction.predict`.
+        feasible: whether a photo may be taken from a station; None: everywhere.
+
+    Raises:
+        InputError: fewer than two photos, or no two that overlap.
+    """
+    given, wanted = assumptions or Assumptions(), criterion or Criterion()
+    ground = LevelGround() if terrain is None else terrain
+    photos = stations(plan)
+    before = predict_stations(photos, plan.camera, ground, area, given)
+    if wanted.ratio((before.sigma_f_percent, before.dome_percent)) <= 1 and not wanted.least_photos:
+        return Fix(plan, (), 0.0, before, before, f"No photos need to be added. {_known(before)}", None)
+    planned = planned_network(photos, plan.camera, ground, given)
+    middle = place_of_pass(plan, planned, area)
+    at_ground = float(ground_heights_m(ground, np.array([[*middle, 0.0]]))[0])
+    gaps = _nearest(plan_gaps(plan), middle)
+    candidates = Candidates(planned, middle, plan.vehicle, gaps, feasible)
+    choice = search(candidates, middle, at_ground, wanted)
+    if not choice.photos:
+        return Fix(
+            plan, (), 0.0, before, before, f"Nothing can be added. {_known(before)}", _nothing(candidates)
+        )
+    order = candidates.detours.order(choice.photos)
+    stops = [[_stop(candidates.stations[i]) for i in way] for way in order]
+    fixed = with_stops(plan, gaps, stops)
+    added = tuple(candidates.stations[i] for way in order for i in way)
+    after = predict_stations(stations(fixed), plan.camera, ground, area, given)
+    return Fix(
+        fixed,
+        added,
+        choice.seconds,
+        before,
+        after,
+        _reason(added, choice, before, after),
+        None if choice.good else _short_of(choice, candidates, wanted),
+    )
+
+
+def search(candidates: Candidates, middle_m: FloatArray, ground_m: float, criterion: Criterion) -> Choice:
+    """The best choice among single stations and rings around ``middle_m``, polished."""
+    height = candidates.planned.height_agl_m
+    candidates.add(single_stations(middle_m, ground_m, height))
+    sets = []
+    for ring in rings(middle_m, ground_m, height):
+        found = [i for i in candidates.add(ring) if i is not None]
+        if found:
+            sets.append(found)
+    if not candidates.stations:
+        return Choice((), 0.0, math.inf)
+    wanted = criterion
+    for _ in range(4):
+        hunt = Search(candidates.pool, candidates.planned.worth, candidates.detours, wanted)
+        choice = polish(candidates, hunt, hunt.best(sets), ground_m)
+        # The search thins the points of a photo; the answer is checked with all of them.
+        dense = _dense_ratio(candidates, choice, criterion)
+        if not choice.good or dense <= 1:
+            break
+        tighter = (wanted.sigma_f_percent / criterion.sigma_f_percent) / (1.02 * dense)
+        wanted = Criterion(
+            criterion.sigma_f_percent * tighter, criterion.dome_percent * tighter, criterion.least_photos
+        )
+    return Choice(choice.photos, choice.seconds, dense)
+
+
+def _dense_ratio(candidates: Candidates, choice: Choice, criterion: Criterion) -> float:
+    """The criterion's ratio of a choice with all points that its photos see."""
+    dense = candidates.dense_pool(choice.photos)
+    check = Search(dense, candidates.planned.worth, candidates.detours, criterion)
+    return check.ratio(range(len(dense)))
+
+
+def polish(candidates: Candidates, hunt: Search, choice: Choice, ground_m: float) -> Choice:
+    """Shift stations by ever smaller steps, still looking at the same places, where that saves time."""
+    height = candidates.planned.height_agl_m
+    step = 0.2 * height
+    while choice.good and step > 0.04 * height:
+        improved = False
+        for one in choice.photos:
+            rest = tuple(p for p in choice.photos if p != one)
+            moved = candidates.add(_moved(candidates.stations[one], step, ground_m))
+            cost = candidates.detours.seconds(rest) + candidates.detours.insertion_s(rest)
+            options = sorted((float(cost[i]), i) for i in moved if i is not None and i not in rest)
+            for seconds, i in options[:3]:
+                if seconds > choice.seconds - 0.1:
+                    break
+                found = hunt.choice((*rest, i))
+                if found.good and found.seconds < choice.seconds - 0.1:
+                    choice, improved = found, True
+                    break
+            if improved:
+                break
+        if not improved:
+            step /= 2
+    return choice
+
+
+def _moved(station: Station, step_m: float, ground_m: float) -> list[Station]:
+    """The station shifted to eight sides and down or up, aiming at the same place on the ground."""
+    tilt, yaw = math.radians(90.0 + station.pitch_deg), math.radians(station.yaw_deg)
+    agl = station.height_m - ground_m
+    aim_east = station.east_m + agl * math.tan(tilt) * math.sin(yaw)
+    aim_north = station.north_m + agl * math.tan(tilt) * math.cos(yaw)
+    found = []
+    for east, north, up in (
+        *((math.sin(a), math.cos(a), 0.0) for a in np.arange(8) * math.pi / 4),
+        (0.0, 0.0, 1.0),
+        (0.0, 0.0, -1.0),
+    ):
+        e, n, h = station.east_m + step_m * east, station.north_m + step_m * north, agl + step_m * up
+        way = math.hypot(aim_east - e, aim_north - n)
+        off_nadir = math.degrees(math.atan2(way, h))
+        if h > 0.5 * agl and off_nadir <= 45.0:
+            heading = math.degrees(math.atan2(aim_east - e, aim_north - n)) % 360.0
+            found.append(Station(e, n, ground_m + h, heading, off_nadir - 90.0, station.pattern))
+    return found
+
+
+def place_of_pass(plan: Plan, planned: PlannedNetwork, area: Polygon | None) -> FloatArray:
+    """Middle (2,) of the ground that extra photos look at: well inside the block, near the way home."""
+    centres = planned.network.centres_m[:, :2]
+    hull = area if area is not None else shapely.MultiPoint(centres).convex_hull
+    inner = hull
+    for share in (1.0, 0.7, 0.4):
+        shrunk = hull.buffer(-share * planned.height_agl_m)
+        if not shrunk.is_empty:
+            inner = shrunk
+            break
+    else:
+        inner = hull.centroid
+    path = plan.path_m
+    last = shapely.Point(path[-2][:2] if len(path) > 2 else path[0][:2])
+    nearest = shapely.ops.nearest_points(inner, last)[0]
+    return np.array([nearest.x, nearest.y])
+
+
+def _nearest(gaps: Sequence[Gap], middle_m: FloatArray) -> tuple[Gap, ...]:
+    def away(gap: Gap) -> float:
+        ends = np.array([gap.start_m[:2], gap.end_m[:2]])
+        return float(np.linalg.norm(ends - middle_m, axis=1).sum() - np.linalg.norm(ends[1] - ends[0]))
+
+    return tuple(sorted(sorted(gaps, key=away)[:MOST_GAPS], key=lambda g: g.index))
+
+
+def _stop(station: Station) -> Waypoint:
+    return Waypoint(
+        station.east_m,
+        station.north_m,
+        station.height_m,
+        station.yaw_deg,
+        station.pitch_deg,
+        Shot.STOP,
+        pattern=station.pattern,
+    )
+
+
+def _known(prediction: Prediction) -> str:
+    return (
+        f"The focal length will be known to {percent(prediction.sigma_f_percent)} and the site's bending to "
+        f"{percent(prediction.dome_percent)} of the flying height ({_metres(prediction.dome_sigma_m)})."
+    )
+
+
+def _reason(added: Sequence[Station], choice: Choice, before: Prediction, after: Prediction) -> str:
+    tilts = sorted(90.0 + s.pitch_deg for s in added)
+    heights = sorted(s.height_m for s in added)
+    return (
+        f"{len(added)} photos, {choice.seconds:.0f} s: {_span(tilts, 'degrees off nadir')} from "
+        f"{_span(heights, 'm above launch')}. Now: focal length known to {percent(before.sigma_f_percent)}, "
+        f"possible dome {_metres(before.dome_sigma_m)}. After: {percent(after.sigma_f_percent)}, "
+        f"{_metres(after.dome_sigma_m)}."
+    )
+
+
+def _span(values: Sequence[float], unit: str) -> str:
+    low, high = f"{values[0]:.0f}", f"{values[-1]:.0f}"
+    return f"{low} {unit}" if low == high else f"{low}-{high} {unit}"
+
+
+def _metres(value: float) -> str:
+    return f"{value:.1f} m" if value >= 1 else f"{100 * value:.2g} cm"
+
+
+def _nothing(candidates: Candidates) -> str:
+    low = candidates.vehicle.gimbal_lowest_deg
+    high = candidates.vehicle.gimbal_highest_deg
+    return (
+        "No oblique photo may be taken around the place where it would help: fence, ceiling, terrain or the "
+        f"gimbal's range ({low:.0f} to {high:.0f} degrees) forbid all of them."
+    )
+
+
+def _short_of(choice: Choice, candidates: Candidates, criterion: Criterion) -> str:
+    return (
+        f"Even the best {len(choice.photos)} of {len(candidates.stations)} allowed photos leave "
+        f"{choice.ratio:.1f} times what is asked for (focal length {percent(criterion.sigma_f_percent)}, "
+        f"bending {percent(criterion.dome_percent)} of the flying height) when one of them fails."
+    )

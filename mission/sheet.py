@@ -1,0 +1,214 @@
+"""The plan sheet: one HTML file for the field bag, that needs nothing but a browser.
+
+Styles, script and policy are those of the report (``calib.report``): no request to anywhere, no
+script but the two written here.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from importlib import metadata, resources
+from pathlib import Path
+
+from plotly.offline import get_plotlyjs
+
+from calib.findings import Verdict
+from calib.output import write_text_atomic
+from calib.wording import VERDICT_WORDS, html_text, quantity, with_bound_units
+from mission.limits import hard_violations
+from mission.planned import Planned
+from mission.rule import Finding
+from mission.sheet_figures import figures
+
+_SIGNS = {
+    "pass": '<path d="M6 12.5l4 4 8-9"/>',
+    "flag": '<path d="M7.5 7.5l9 9M16.5 7.5l-9 9"/>',
+    "unknown": '<path d="M12 6v7.5M12 17.2v.4"/>',
+}
+_EXTRA_CSS = """
+.two { display: grid; gap: 0 2rem; }
+@media (min-width: 40rem) { .two { grid-template-columns: 1fr 1fr; } }
+"""
+
+
+def write_sheet(planned: Planned, path: Path) -> None:
+    """Write the sheet, whole or not at all.
+
+    Raises:
+        OutputError: not writable.
+    """
+    write_text_atomic(path, render_sheet(planned))
+
+
+def render_sheet(planned: Planned) -> str:
+    """The sheet as HTML text; the same plan gives the same text."""
+    library = get_plotlyjs().replace("</script", "<\\/script")
+    start = _bundled("report.js")
+    policy = (
+        "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; "
+        f"script-src {_hash(library)} {_hash(start)}; base-uri 'none'; form-action 'none'"
+    )
+    body = "\n".join(
+        [
+            _header(planned),
+            "<main>",
+            _facts(planned),
+            _notes(planned),
+            _prediction(planned),
+            _findings(planned),
+            _figures(planned),
+            _provenance(planned),
+            "</main>",
+        ]
+    )
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{html_text(planned.plan.name)} - plan - fieldcal</title>
+<style>{_bundled("report.css")}{_EXTRA_CSS}</style>
+</head>
+<body>
+{body}
+<script>{library}</script>
+<script>{start}</script>
+</body>
+</html>
+"""
+
+
+def _bundled(name: str) -> str:
+    return resources.files("calib").joinpath("data", name).read_text(encoding="utf-8")
+
+
+def _hash(script: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
+
+
+def _sign(kind: str) -> str:
+    return (
+        '<svg viewBox="0 0 24 24" aria-hidden="true" focusable="false" fill="none" stroke="currentColor" '
+        'stroke-width="2.6" stroke-linecap="round" stroke-linejoin="round">'
+        f'<circle cx="12" cy="12" r="10.4"/>{_SIGNS[kind]}</svg>'
+    )
+
+
+def _sentence(text: str) -> str:
+    return with_bound_units(html_text(text))
+
+
+def _header(planned: Planned) -> str:
+    broken = hard_violations(planned.findings)
+    if broken:
+        kind, sign, word, text = "refly", "flag", "DO NOT FLY", broken[0].message
+    elif planned.prediction.verdict is Verdict.TRUST:
+        kind, sign, word, text = "trust", "pass", "READY", planned.prediction.reason
+    else:
+        word = f"{VERDICT_WORDS[planned.prediction.verdict]} EXPECTED"
+        kind, sign, text = "cannot_tell", "unknown", planned.prediction.reason
+    return (
+        f'<header class="verdict {kind}"><h1>{_sign(sign)}<span>{word}</span></h1>'
+        f"<p>{_sentence(text)}</p></header>"
+    )
+
+
+def _facts(planned: Planned) -> str:
+    cost, site = planned.timing, planned.site
+    whole, rest = divmod(round(cost.duration_s), 60)
+    parts = [
+        planned.plan.name,
+        f"{cost.photos} photos with {planned.plan.camera_name}",
+        f"{site.height_m:g} m above ground, {100 * planned.gsd_m:.1f} cm per pixel",
+        f"{cost.length_m / 1000:.1f} km, {whole} min {rest:02d} s",
+        f"{100 * cost.battery_share:.0f} % of a battery",
+    ]
+    return f'<p class="facts">{_sentence(" · ".join(parts))}</p>'
+
+
+def _notes(planned: Planned) -> str:
+    if not planned.notes:
+        return ""
+    items = "".join(f"<li>{_sentence(note)}</li>" for note in planned.notes)
+    return (
+        '<section class="fly" aria-labelledby="know"><h2 id="know">To know before the flight</h2>'
+        f'<ul class="names">{items}</ul></section>'
+    )
+
+
+def _prediction(planned: Planned) -> str:
+    p = planned.prediction
+    rows = [
+        ("Verdict to expect", VERDICT_WORDS[p.verdict]),
+        ("Focal length known to", quantity(p.sigma_f_percent, None, "%", 2)),
+        ("Dome or dish, one sigma", f"{quantity(p.dome_percent, None, '%', 2)} of the height"),
+        ("Correlation of K1 and K2", quantity(p.k1_k2_correlation, None, "", 3)),
+        ("Convergent photos", quantity(100 * p.convergent_share, None, "%", 2)),
+        ("Photos of the worst place", str(p.least_views)),
+        ("Ground resolution, worst place", quantity(100 * p.gsd_worst_m, None, "cm", 2)),
+    ]
+    cells = "".join(
+        f'<tr><th scope="row">{html_text(name)}</th><td>{_sentence(value)}</td></tr>' for name, value in rows
+    )
+    return (
+        '<section aria-labelledby="predicted"><h2 id="predicted">Predicted quality</h2>'
+        f"<table><tbody>{cells}</tbody></table></section>"
+    )
+
+
+def _findings(planned: Planned) -> str:
+    groups = [
+        ("Forbids the flight", [f for f in planned.findings if f.hard and not f.ok], "flag"),
+        ("To think about", [f for f in planned.findings if not f.hard and not f.ok], "unknown"),
+        ("In order", [f for f in planned.findings if f.ok], "pass"),
+    ]
+    parts = ['<section aria-labelledby="limits"><h2 id="limits">Limits</h2>']
+    for title, chosen, kind in groups:
+        if chosen:
+            parts.append(f"<h3>{title} ({len(chosen)})</h3>")
+            parts.append(f'<ul class="findings">{"".join(_finding(f, kind) for f in chosen)}</ul>')
+    return "\n".join([*parts, "</section>"])
+
+
+def _finding(finding: Finding, kind: str) -> str:
+    title = finding.rule.replace("-", " ")
+    return (
+        f'<li class="{kind}">{_sign(kind)}<div><h4>{html_text(title[:1].upper() + title[1:])}</h4>'
+        f"<p>{_sentence(finding.message)}</p></div></li>"
+    )
+
+
+def _figures(planned: Planned) -> str:
+    parts = ['<section aria-labelledby="figures"><h2 id="figures">Pictures</h2>']
+    for number, (title, caption, figure) in enumerate(figures(planned), 1):
+        data = figure.to_json().replace("<", "\\u003c")
+        parts.append(
+            f'<figure><h3>{html_text(title)}</h3><div class="plot" id="plot{number}" role="img" '
+            f'aria-label="{html_text(title)}"></div><figcaption>{_sentence(caption)}</figcaption>'
+            f'<script type="application/json" data-plot="plot{number}">{data}</script></figure>'
+        )
+    return "\n".join([*parts, "</section>"])
+
+
+def _provenance(planned: Planned) -> str:
+    site, plan = planned.site, planned.plan
+    vehicle = plan.vehicle
+    rows = [
+        ("Launch point", f"{plan.launch.latitude_deg:.6f}, {plan.launch.longitude_deg:.6f}"),
+        ("Terrain", site.terrain.name),
+        ("Overlap", f"{100 * site.forward_overlap:.0f} % along, {100 * site.side_overlap:.0f} % across"),
+        (
+            "Aircraft",
+            f"{vehicle.speed_m_s:.1f} m/s, {vehicle.endurance_s / 60:.0f} min of a battery, "
+            f"{100 * vehicle.reserve_share:.0f} % kept",
+        ),
+        ("Wind", f"{site.wind.speed_m_s:g} m/s from {site.wind.from_deg:g} degrees"),
+        ("Software", f"fieldcal {metadata.version('fieldcal')}"),
+    ]
+    items = "".join(f"<dt>{html_text(k)}</dt><dd>{_sentence(v)}</dd>" for k, v in rows)
+    return (
+        '<section aria-labelledby="from"><h2 id="from">What it is planned from</h2>'
+        f"<dl>{items}</dl></section>"
+    )
