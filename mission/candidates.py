@@ -15,8 +15,8 @@ from mission.plan import Station, Vehicle
 from mission.planned_network import PlannedNetwork, poses
 from mission.route import Detours, Gap
 
-#: Ground points of one candidate photo that are used, and the fewest with which it counts.
-MOST_POINTS, LEAST_POINTS = 24, 8
+#: Ground points of one candidate photo: used in the search, used in its check, fewest to count.
+MOST_POINTS, CHECK_POINTS, LEAST_POINTS = 16, 36, 8
 #: Points of the network around the place of the extra photos, at most.
 WINDOW_POINTS = 260
 #: Tilts off nadir, heights over the survey's, and numbers of photos of the rings tried.
@@ -77,8 +77,8 @@ class Candidates:
         return [self._index.get(s) for s in stations]
 
     def dense_pool(self, photos: Sequence[int]) -> PhotoPool:
-        """The same photos with all the points that they see: what the short ones are checked with."""
-        rows = self._rows([self.stations[i] for i in photos], most_points=10**6)
+        """The same photos with more of the points that they see: what the search is checked with."""
+        rows = self._rows([self.stations[i] for i in photos], most_points=CHECK_POINTS)
         return PhotoPool(self.joint, [r for r in rows if r is not None])
 
     def _rows(self, stations: Sequence[Station], most_points: int | None = None) -> list[PhotoRows | None]:

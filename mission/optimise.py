@@ -27,7 +27,7 @@ SHORT_LIST = 80
 #: Pools of fewer photos than this are searched from more than one start.
 SMALL_POOL = 200
 #: Of the exchanges that save time, how many are looked at, and of those how many tried in full.
-_LOOKED_AT, _TRIED = 40, 5
+_LOOKED_AT, _TRIED = 40, 3
 
 
 @dataclass(frozen=True)
@@ -161,6 +161,7 @@ class Search:
         return None
 
     def _with_another(self, choice: Choice) -> Choice | None:
+        with_all = self._joint(choice.photos)
         for one in choice.photos:
             rest = tuple(p for p in choice.photos if p != one)
             cost = self.detours.seconds(rest) + self.detours.insertion_s(rest)
@@ -168,7 +169,7 @@ class Search:
             cheaper = [int(i) for i in order if cost[i] < choice.seconds - 0.1 and i not in choice.photos]
             if not cheaper:
                 continue
-            joint = self._joint(rest)
+            joint = with_all.without_photo(self.pool.rows[one])
             tried = 0
             for i in cheaper[:_LOOKED_AT]:
                 if self._with_one(joint, i) > 1.0:
@@ -202,5 +203,5 @@ class Search:
         good = sorted((c for c in found if c.good), key=lambda c: (c.seconds, c.photos))
         if not good:
             return min(found, key=lambda c: (c.ratio, c.seconds, c.photos))
-        improved = [self.exchange(c) for c in dict.fromkeys(good[: 2 + len(starts)])]
+        improved = [self.exchange(c) for c in dict.fromkeys(good[: 1 + len(starts)])]
         return min(improved, key=lambda c: (c.seconds, c.photos))
