@@ -18,6 +18,8 @@ FOCAL_LIMIT_PERCENT = 0.1
 DOME_LIMIT_PERCENT = 0.1
 #: [C&D] discussion: at least 10 % of the photos 20-45 degrees off nadir.
 CONVERGENT_LIMIT_PERCENT = 10.0
+#: Fewer never do, however well f seems to be known: one blurred photo may be among them.
+LEAST_CONVERGENT = 3
 #: Photos closer to the vertical look "straight down".
 NADIR_DEG = 10.0
 #: Sigma of f at which 0.1 % can just be decided, and the stricter one that a network must reach

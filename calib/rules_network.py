@@ -14,6 +14,7 @@ from calib.limits import (
     FOCAL_LIMIT_PERCENT,
     FOCAL_SIGMA_ALONE_PERCENT,
     FOCAL_SIGMA_PERCENT,
+    LEAST_CONVERGENT,
     RMS_LIMIT_PX,
     SECOND_COMPONENT_PERCENT,
     SEN,
@@ -53,12 +54,25 @@ def convergent_share(e: Evidence) -> Finding:
             text += f", {'all' if e.steep == oblique else e.steep} of them beyond {STEEP_DEG:g} degrees"
     if value >= CONVERGENT_LIMIT_PERCENT:
         return finding(State.PASS, f"{text}: at least {CONVERGENT_LIMIT_PERCENT:g} % are asked for.", value)
+    sigma = 100 * e.sigma_f_px / e.f_px
+    if oblique >= LEAST_CONVERGENT and sigma <= _focal_sigma_limit(e):
+        return finding(
+            State.PASS,
+            f"{text}: fewer than the {CONVERGENT_LIMIT_PERCENT:g} % asked for, but with them the focal "
+            f"length is known to {percent(sigma)}.",
+            value,
+        )
     return finding(State.FLAG, f"{text}; at least {CONVERGENT_LIMIT_PERCENT:g} % are needed.", value)
+
+
+def _focal_sigma_limit(e: Evidence) -> float:
+    """Percent; stricter where no good reference takes part."""
+    return FOCAL_SIGMA_PERCENT if reference_decides(e) else FOCAL_SIGMA_ALONE_PERCENT
 
 
 def focal_sigma(e: Evidence) -> Finding:
     sigma = 100 * e.sigma_f_px / e.f_px
-    limit = FOCAL_SIGMA_PERCENT if reference_decides(e) else FOCAL_SIGMA_ALONE_PERCENT
+    limit = _focal_sigma_limit(e)
 
     def finding(state: State, message: str) -> Finding:
         # sigma 0: the sigma of a sigma is not estimated.
