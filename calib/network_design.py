@@ -9,7 +9,7 @@ solution program), so that the work grows with the number of photos times the sq
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
@@ -108,7 +108,6 @@ class Reduced:
     matrix: FloatArray
     kept: IntArray
     n_lens: int
-    free: BoolArray = field(default_factory=lambda: np.zeros(0, bool))
 
 
 def inverse(matrix: FloatArray) -> FloatArray:
@@ -179,7 +178,7 @@ def reduce_network(
         ValueError: a point with fewer than two views, or views that are not sorted by point.
         numpy.linalg.LinAlgError: a photo that nothing holds.
     """
-    m, k = len(network.points_m), len(network.centres_m)
+    m = len(network.points_m)
     if np.any(np.diff(network.point) < 0) or np.bincount(network.point, minlength=m).min(initial=2) < 2:
         raise ValueError("views must be sorted by point, and every point needs two of them")
     g = np.zeros((0, m, 3)) if functionals is None else functionals
@@ -191,8 +190,7 @@ def reduce_network(
     sweep.eliminate(sweep.abreast[~np.isin(sweep.abreast, sweep.kept)])
     missing = np.setdiff1d(sweep.kept, sweep.abreast)
     sweep.enter(missing)
-    assert k >= len(sweep.abreast)
-    return Reduced(sweep.front, sweep.abreast, q, known.free)
+    return Reduced(sweep.front, sweep.abreast, q)
 
 
 class _Sweep:

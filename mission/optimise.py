@@ -203,5 +203,8 @@ class Search:
         good = sorted((c for c in found if c.good), key=lambda c: (c.seconds, c.photos))
         if not good:
             return min(found, key=lambda c: (c.ratio, c.seconds, c.photos))
-        improved = [self.exchange(c) for c in dict.fromkeys(good[: 1 + len(starts)])]
-        return min(improved, key=lambda c: (c.seconds, c.photos))
+        fewest = min(good, key=lambda c: (len(c.photos), c.seconds, c.photos))
+        improved = [self.exchange(c) for c in dict.fromkeys([*good[: 1 + len(starts)], fewest])]
+        # Time counts, but a photo is also one more thing to go wrong.
+        least = min(len(c.photos) for c in improved)
+        return min((c for c in improved if len(c.photos) <= least + 1), key=lambda c: (c.seconds, c.photos))
