@@ -19,6 +19,7 @@ import numpy as np
 from calib.field import Lens
 from sim.flights import phantom3, rotation_looking
 from sim.render import RenderOptions, lens_rays, render
+from sim.world import World
 from sim.worlds import build_world
 
 ROLLING_SHUTTER = RenderOptions(readout_s=0.03)
@@ -57,20 +58,21 @@ def main() -> None:
     cv2.setNumThreads(1)
     rays = lens_rays(Lens(phantom3(*size)))
     print(f"{size[0]} x {size[1]} px, one thread")
-    made = None
+    world: World | None = None
+    kind = ""
     for case in CASES:
-        if made is None or made[0] != case.kind:
-            made = None  # two worlds at a time would be counted as memory
-            world = build_world(
-                case.kind, 1, half_m=130.0 if case.texel_m > 0.02 else 60.0, texel_m=case.texel_m
-            )
-            made = (case.kind, world)
+        if case.kind != kind:
+            world = None  # two worlds at a time would be counted as memory
+            half_m = 130.0 if case.texel_m > 0.02 else 60.0
+            world = build_world(case.kind, 1, half_m=half_m, texel_m=case.texel_m)
+            kind = case.kind
+        assert world is not None
         rotation = rotation_looking(np.array([case.yaw_deg]), np.array([case.off_nadir_deg]))[0]
         seconds = []
         for seed in (1, 2):
             started = time.process_time()
             render(
-                made[1],
+                world,
                 rays,
                 rotation,
                 np.array(case.centre_m, float),

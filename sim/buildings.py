@@ -118,6 +118,9 @@ def _pierced_wall(
     holes = np.array([opening.rectangle for opening in openings])
     out = [Facet(origin, along, _UP, outline, texture, holes)]
     plain = masonry.stonework(seed + 1, 2.4, 2.4, texel, course_m=0.6)
+    # Sill, left jamb, lintel and right jamb run so, each reaching from the front inwards.
+    runs = (along, -_UP, -along, _UP)
+    reveals = [_texture(plain, texel, 0.0, 2.4, run, -front, seed) for run in runs]
     for i, opening in enumerate(openings):
         s0, t0, s1, t1 = opening.rectangle
         paint = masonry.door if opening.door else masonry.window
@@ -132,17 +135,11 @@ def _pierced_wall(
                 _texture(pane, texel, s0, t1, along, _UP, seed, (s1 - s0) / pane.shape[1]),
             )
         )
-        # Sill, left jamb, lintel, right jamb: each from the front inwards, facing into the opening.
-        inwards = -front
-        for corner, run, span in (
-            ((s0, t0), along, s1 - s0),
-            ((s0, t1), -_UP, t1 - t0),
-            ((s1, t1), -along, s1 - s0),
-            ((s1, t0), _UP, t1 - t0),
-        ):
+        corners = ((s0, t0), (s0, t1), (s1, t1), (s1, t0))
+        spans = (s1 - s0, t1 - t0, s1 - s0, t1 - t0)
+        for corner, run, span, reveal in zip(corners, runs, spans, reveals, strict=True):
             at = origin + corner[0] * along + corner[1] * _UP
-            reveal = _texture(plain, texel, 0.0, 2.4, run, inwards, seed)
-            out.append(Facet(at, run, inwards, _rectangle(0.0, 0.0, span, _REVEAL_M), reveal))
+            out.append(Facet(at, run, -front, _rectangle(0.0, 0.0, span, _REVEAL_M), reveal))
     return out
 
 

@@ -101,9 +101,13 @@ def _multi_scale(rng: np.random.Generator, side: int, texel_m: float) -> Image32
     total = np.zeros((side, side), np.float32)
     size = 60.0
     while size >= 0.9 * texel_m:
-        total += _noise(rng, side, max(int(side * texel_m / size), 2)) * np.float32(0.6 if size > 4 else 0.8)
+        noise = _noise(rng, side, max(int(side * texel_m / size), 2))
+        noise *= np.float32(0.6 if size > 4 else 0.8)  # in place: each copy is hundreds of megabytes
+        total += noise
+        del noise
         size /= 2
-    return total * np.float32(0.5)
+    total *= np.float32(0.5)
+    return total
 
 
 def _fields(rng: np.random.Generator, side: int, texel_m: float) -> ByteImage:
