@@ -170,7 +170,7 @@ def main() -> None:
     cases += [Case(n, e, 100 + s, size) for s in range(given.error_seeds) for n in RECIPES for e in ERRORS]
     todo = [c for c in cases if (c.network, c.error, c.seed, c.size[0]) not in done]
     with ProcessPoolExecutor(given.workers) as pool, raw.open("a") as out:
-        for index, one in enumerate(pool.map(scored, todo, chunksize=4)):
+        for index, one in enumerate(pool.map(scored, todo)):
             scores.append(one)
             out.write(json.dumps(asdict(one)) + "\n")
             out.flush()
