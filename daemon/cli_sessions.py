@@ -46,11 +46,11 @@ def list_flights(json_to: JsonOption = None) -> None:
     if not summaries and not faults:
         out.print(f"No flight is recorded in {sessions_folder()}.")
         return
-    rows = table("name", "date (UTC)", "photos", "verdict", "state", numbers=("photos",))
+    rows = table("name", "date", "photos", "verdict", "state", numbers=("photos",))
     for summary in summaries:
         rows.add_row(
             printable(summary.name),
-            f"{summary.created:%Y-%m-%d %H:%M}",
+            f"{summary.created:%Y-%m-%d}",
             str(summary.counts.photos),
             _verdict_words(summary),
             _state(summary),
