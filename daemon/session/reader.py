@@ -94,7 +94,10 @@ class SessionReader:
             (after,),
         )
         return tuple(
-            _recorded(row, Trigger(row[2], _stamp(row[3:6]), *row[6:10], json.loads(row[10]))) for row in rows
+            _recorded(
+                row, Trigger(row[2], _stamp(row[3:6]), row[6], row[7], row[8], row[9], json.loads(row[10]))
+            )
+            for row in rows
         )
 
     def photos(self, after: int = 0) -> tuple[Recorded[PhotoFile], ...]:
