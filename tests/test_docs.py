@@ -43,6 +43,8 @@ COMMANDS = (
     *(("cameras", sub) for sub in ("list", "show", "compare", "import", "export")),
     ("sim",),
     *(("sim", sub) for sub in ("list", "survey")),
+    ("sessions",),
+    *(("sessions", sub) for sub in ("list", "show", "export")),
 )
 #: Options of other programs that the docs mention, and the other side of a switch.
 FOREIGN = {"--cameras", "--counter-clockwise", "--geo", "--strict"}
@@ -78,6 +80,7 @@ def place(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """An empty folder to work in, an empty store, and a terminal of 80 columns."""
     monkeypatch.chdir(tmp_path)
     monkeypatch.setenv("FIELDCAL_STORE", str(tmp_path / "store"))
+    monkeypatch.setenv("FIELDCAL_SESSIONS", str(tmp_path / "sessions"))
     monkeypatch.setenv("COLUMNS", "80")
 
 
@@ -138,6 +141,7 @@ def test_no_option_is_invented(name: str, options: dict[tuple[str, ...], set[str
         ("docs/planning.md", [("plan",)]),
         ("docs/cameras.md", [("cameras", "import"), ("cameras", "export")]),
         ("docs/simulator.md", [("sim", "survey")]),
+        ("docs/sessions.md", [("sessions", "export")]),
     ],
 )
 def test_no_option_is_left_out(
@@ -154,7 +158,7 @@ def test_shown_commands_use_options_of_their_own(name: str, options: dict[tuple[
         r"^(?:\$ )?fieldcal (.*)$", "\n".join(b for _, b in _FENCE.findall(_text(name))), re.M
     ):
         words = line.split()
-        command = tuple(words[: 2 if words[0] in ("cameras", "sim") else 1])
+        command = tuple(words[: 2 if words[0] in ("cameras", "sim", "sessions") else 1])
         assert command in COMMANDS, line
         assert set(_OPTION.findall(line)) <= options[command], line
 
