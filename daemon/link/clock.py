@@ -51,7 +51,7 @@ class ClockOffset:
 
     def add(self, sample: OffsetSample) -> ClockOffset:
         """The state with one more sample; ``steps`` counts the steps of the clock seen so far."""
-        now = self.at(sample.at_s)
+        now = self._estimate(sample.at_s)
         if now is None or abs(sample.offset_s - now.offset_s) <= now.half_s + _half_s(sample, sample.at_s):
             strays = self.strays if now is None else ()
             return replace(self, samples=(*self.samples, sample)[-WINDOW:], strays=strays)
@@ -62,6 +62,9 @@ class ClockOffset:
 
     def at(self, own_s: float) -> Offset | None:
         """The offset at a time of the own clock; None without samples, or where they contradict."""
+        return None if len(self.strays) >= STEP_SAMPLES else self._estimate(own_s)
+
+    def _estimate(self, own_s: float) -> Offset | None:
         if not self.samples:
             return None
         low, high, count = _overlap(self.samples, own_s)

@@ -15,10 +15,11 @@ from dataclasses import dataclass, field, fields, replace
 
 from daemon.link.events import Angles, PhotoReport, PhotoSource
 
-#: Two sources' times of one photo differ by less (shutter lag, slow cameras), in one clock ...
-SAME_CLOCK_S = 1.0
-#: ... and by less where only the times of arrival can be compared.
-ARRIVAL_S = 2.0
+#: Two sources' times of one photo differ by less (shutter lag), in one clock. Until the numbers are
+#: known to run in step, photos closer together than twice this can be mistaken where messages are lost.
+SAME_CLOCK_S = 0.45
+#: The same where only the times of arrival can be compared.
+ARRIVAL_S = 1.0
 #: Where the numbers say something else, times must agree this well to be believed.
 SURE_S = 0.1
 #: A number told again with a time this much later is another photo: the vehicle started anew.
