@@ -132,6 +132,9 @@ def test_px4s_state_is_worked_out() -> None:
     assert (state.progress.state, state.progress.last) == (ev.MissionState.ACTIVE, 5)
     assert state.add(holding).progress.state is ev.MissionState.PAUSED
     assert state.add(ev.ItemReached(5)).progress.state is ev.MissionState.COMPLETE
+    at_end = state.add(ev.MissionCurrent(5, 6, ev.MissionState.UNKNOWN, 0))
+    assert at_end.progress.state is ev.MissionState.ACTIVE
+    assert at_end.add(heartbeat(12, 129, 4 << 16 | 5 << 24)).progress.state is ev.MissionState.COMPLETE
 
 
 def timesync(

@@ -57,11 +57,14 @@ class ProgressFilter:
 
     @staticmethod
     def _px4_state(progress: MissionProgress, beat: Heartbeat) -> MissionState:
-        if progress.last is not None and progress.reached >= progress.last:
+        last = progress.last
+        # A return to launch as the last item is flown in another mode and never told as reached.
+        left_at_end = last is not None and progress.item >= last and not beat.in_mission
+        if last is not None and (progress.reached >= last or (left_at_end and progress.reached >= last - 1)):
             return MissionState.COMPLETE
         if beat.armed and beat.in_mission:
             return MissionState.ACTIVE
-        return MissionState.PAUSED if beat.armed and progress.reached >= 0 else MissionState.NOT_STARTED
+        return MissionState.PAUSED if progress.reached >= 0 else MissionState.NOT_STARTED
 
     def _autopilot(self) -> Autopilot:
         return self.heartbeat.autopilot if self.heartbeat else Autopilot.OTHER
