@@ -47,7 +47,6 @@ class VehicleServer:
         self._parser.robust_parsing = True
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self.run, name="vehicle", daemon=True)
-        self.failure: BaseException | None = None
 
     def __enter__(self) -> VehicleServer:
         self._thread.start()

@@ -20,7 +20,7 @@ CAMERA_COMPONENT = 100
 
 
 class Vehicle:
-    """See :class:`VehicleOptions`. ``photos`` holds the truth, ``log`` what was stored and refused.
+    """See :class:`VehicleOptions`. ``photos`` holds the truth about every photo taken.
 
     Two clocks: ``boot_s``, the vehicle's (flight, streams, photos), and ``link_s`` (timeouts of the
     mission transfer), which run apart when a flight is simulated faster than it would be.
