@@ -77,6 +77,19 @@ def log_density(early_s: FloatArray, resolution_s: FloatArray, sigma_s: FloatArr
     return mixed
 
 
+def coincident(cells: Cells) -> FloatArray:
+    """1 for each cell (m,) that is likely in itself and the likeliest of its trigger and photo, else 0."""
+    if not len(cells.trigger):
+        return np.zeros(0)
+    of_trigger = np.full(int(cells.trigger.max()) + 1, -np.inf)
+    of_photo = np.full(int(cells.photo.max()) + 1, -np.inf)
+    np.maximum.at(of_trigger, cells.trigger, cells.log_weight)
+    np.maximum.at(of_photo, cells.photo, cells.log_weight)
+    best = np.maximum(of_trigger[cells.trigger], of_photo[cells.photo])
+    both: FloatArray = ((cells.log_weight >= best) & (cells.log_weight > 0)).astype(float)
+    return both
+
+
 def align(cells: Cells, n_triggers: int, n_photos: int) -> Aligned:
     """Sum over all monotone alignments; cells sorted by trigger, photos (n_p,) sorted by time."""
     if not len(cells.trigger):

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daemon.capture.alignment import Aligned, Cells, FloatArray, align
+from daemon.capture.alignment import Aligned, Cells, FloatArray, align, coincident
 from daemon.capture.clocks import Clock, Times, candidate_clocks, cells_of, fit, log_density_alone
 from daemon.capture.records import Alternative, ClockFit, KnownClock, Pair, Pairing, Shot, Trigger
 
@@ -16,6 +16,7 @@ _SAME_S = 1e-3
 #: An unknown clock may be off by this much either way, in s (for the weight of "no pair at all").
 _CLOCK_RANGE_S = 86_400.0
 _MAX_ROUNDS = 4
+_NOT_TWICE = float(np.log(20.0))
 _INDEX_DISAGREES = float(np.log(0.1))
 
 
@@ -173,7 +174,10 @@ def _refine(times: Times, clock: Clock, counters: FloatArray, known: KnownClock 
     objection = _counter_objection(counters[cells.trigger, 0], counters[cells.photo, 1], aligned)
     if objection.any():
         cells = replace(cells, log_weight=cells.log_weight + objection)
-        aligned = align(cells, n_t, n_p)
+    # No camera exposes twice at one moment: a lone photo where a lone trigger is, is their pair.
+    excluded = coincident(cells) * _NOT_TWICE
+    aligned = align(replace(cells, log_weight=cells.log_weight + excluded), n_t, n_p)
+    aligned = replace(aligned, log_evidence=aligned.log_evidence - float(excluded.sum()))
     # The clock had to be found: its posterior width over what was possible before (Occam's factor).
     width = np.sqrt(2 * np.pi) * clock.offset_sigma_s
     if known is None:
@@ -241,12 +245,12 @@ def _cautious(fits: list[_Fit], n_photos: int) -> list[_Fit]:
         np.bincount(cells.photo, weights=aligned.probability * cells.log_weight, minlength=n_photos)
         for _, _, cells, aligned in fits
     ]
-    out = []
-    for (value, *rest), share in zip(fits, shares, strict=True):
+    out: list[_Fit] = []
+    for (value, clock, cells, aligned), share in zip(fits, shares, strict=True):
         both = (np.abs(shares[0]) > 1.0) & (np.abs(share) > 1.0)
         gap = (shares[0] - share)[both]
         common = float(gap.sum())
         chance2 = float(len(gap) * np.var(gap)) if len(gap) else 0.0
         believed = common**3 / (common**2 + 4 * chance2) if common else 0.0
-        out.append((value + common - believed, *rest))
+        out.append((value + common - believed, clock, cells, aligned))
     return sorted(out, key=lambda one: -one[0])
