@@ -112,7 +112,8 @@ class LocalFrame:
 
     @property
     def _transformer(self) -> Transformer:
-        return _topocentric(self.latitude_deg, self.longitude_deg, self.altitude_m)
+        # Plain floats: a numpy scalar's repr is no number to PROJ, which then takes zero, silently.
+        return _topocentric(float(self.latitude_deg), float(self.longitude_deg), float(self.altitude_m))
 
 
 @functools.lru_cache(maxsize=32)

@@ -165,3 +165,10 @@ def test_local_positions_across_the_date_line_and_with_gaps():
     assert np.ptp(enu[[0, 2, 3], 0]) == pytest.approx(21.9, abs=0.2)
     assert np.ptp(enu[[0, 2, 3], 2]) < 0.01
     assert local_positions([None, None]) is None
+
+
+def test_a_frame_takes_numpy_scalars_for_what_they_are() -> None:
+    plain, scalar = LocalFrame(50.5, -3.25, 80.0), LocalFrame(*np.array([50.5, -3.25, 80.0]))
+    away = (np.array([50.501]), np.array([-3.24]), np.array([95.0]))
+    assert scalar.enu(*away) == pytest.approx(plain.enu(*away), abs=1e-9)
+    assert np.linalg.norm(plain.enu(*away)) == pytest.approx(718.32, abs=0.05)

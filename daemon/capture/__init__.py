@@ -1,0 +1,1 @@
+"""From triggers and photo files to photos with positions: pairing, interpolation, geotags."""
