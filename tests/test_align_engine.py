@@ -127,16 +127,17 @@ def test_two_runs_agree_to_the_last_bit(site: Site, at_once: Aligned) -> None:
 
 
 def test_photos_without_any_tags_are_aligned_too(site: Site) -> None:
-    bare = [replace(site[0][i], position=None, gimbal=None) for i in (0, 1, 5, 6, 12, 18)]
+    chosen = [0, 1, 2, 4, 5, 12, 18]
+    bare = [replace(site[0][i], position=None, gimbal=None) for i in chosen]
     aligner = Aligner(SETTINGS)
     aligner.add_all(bare)
     solution = aligner.solve().solution
-    assert len(solution.photos) == 6
+    assert len(solution.photos) == 7
     assert not solution.georeference.trusted
     assert solution.georeference.fault is None
-    true = site[1].centres_m[[0, 1, 5, 6, 12, 18]]
+    true = site[1].centres_m[chosen]
     move = fit_similarity(solution.centres_m, true)
-    assert np.linalg.norm(move.apply(solution.centres_m) - true, axis=1).max() < 0.5
+    assert np.linalg.norm(move.apply(solution.centres_m) - true, axis=1).max() < 0.15
     # Level by the ground: what is up stays up.
     assert move.rotation[2, 2] > 0.99
 
