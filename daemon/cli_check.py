@@ -18,8 +18,9 @@ from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn
 from calib import frames
 from calib.align.engine import Progress as Report
 from calib.check import Options, check_photos, read_set
+from calib.files import check_file_writable, output_folder, write_text_atomic
 from calib.findings import State, Verdict
-from calib.output import check_file_writable, output_folder, write_outputs, write_text_atomic
+from calib.output import write_outputs
 from calib.photos.sort import require_block
 from calib.references import check_saving, load_reference, reference_from_estimate, save_reference
 from calib.report_json import report_json

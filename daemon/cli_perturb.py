@@ -17,7 +17,7 @@ from calib.equifinal import STRICT_TOLERANCE_PX, Radial, image_radius_px
 from calib.equifinal_montecarlo import cd_box
 from calib.equifinal_published import radial_of
 from calib.errors import InputError
-from calib.output import output_folder, write_text_atomic
+from calib.files import output_folder, write_text_atomic
 from calib.perturb import Perturbation, ZeroTangent, cubic_through, perturb, zero_tangent
 from calib.reference import Reference
 from calib.references import load_reference

@@ -10,7 +10,7 @@ from typing import Annotated, Any, Literal
 import typer
 
 from calib.errors import InputError
-from calib.output import check_file_writable
+from calib.files import check_file_writable
 from daemon.output import console, write_json
 from daemon.plan_output import plan_json, print_plan
 from mission.compose import compose_with_notes

@@ -16,7 +16,7 @@ from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 
 from calib.errors import InputError, OutputError
-from calib.output import output_errors, output_folder
+from calib.files import output_errors, output_folder
 from calib.photos.photo import Processing
 from calib.reference_file import write_reference_file
 from calib.wording import path_text, printable

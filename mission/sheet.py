@@ -13,8 +13,8 @@ from pathlib import Path
 
 from plotly.offline import get_plotlyjs
 
+from calib.files import write_text_atomic
 from calib.findings import Verdict
-from calib.output import write_text_atomic
 from calib.wording import VERDICT_WORDS, html_text, quantity, with_bound_units
 from mission.limits import hard_violations
 from mission.planned import Planned

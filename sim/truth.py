@@ -12,8 +12,8 @@ from pyproj import Proj
 
 from calib.camera import BrownCamera, FloatArray
 from calib.field import field_basis
+from calib.files import write_text_atomic
 from calib.frames import LocalFrame, project, utm_crs
-from calib.output import write_text_atomic
 from calib.photos.photo import CameraIdentity, Processing
 from calib.reference import Reference
 from sim.pattern import Pattern, pixel_grid

@@ -10,8 +10,9 @@ import result_factory
 
 import calib.output
 from calib.errors import OutputError
+from calib.files import check_writable, write_text_atomic
 from calib.findings import Verdict
-from calib.output import check_writable, write_outputs, write_text_atomic
+from calib.output import write_outputs
 from calib.result import CheckResult
 
 

@@ -14,7 +14,7 @@ from pathlib import Path
 from typing import NoReturn
 
 from calib.errors import InputError, OutputError
-from calib.output import output_errors
+from calib.files import output_errors
 from daemon.session import schema
 
 DATABASE, LOCK = "session.sqlite", "session.lock"

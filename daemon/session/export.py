@@ -15,7 +15,8 @@ from datetime import datetime
 from pathlib import Path, PurePosixPath
 
 from calib.errors import InputError
-from calib.output import EXPORTS, REPORT_HTML, REPORT_JSON, output_errors
+from calib.files import output_errors
+from calib.output import EXPORTS, REPORT_HTML, REPORT_JSON
 from daemon.session.database import DATABASE
 from daemon.session.reader import SessionReader
 

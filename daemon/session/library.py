@@ -13,8 +13,8 @@ from pathlib import Path
 import platformdirs
 
 from calib.errors import FieldcalError, InputError, OutputError
+from calib.files import output_errors
 from calib.findings import Verdict
-from calib.output import output_errors
 from daemon.session.database import DATABASE, is_held
 from daemon.session.reader import SessionReader
 from daemon.session.rows import Clock, ClockName, Counts, Event, Stamp, system_clock

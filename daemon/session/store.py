@@ -17,7 +17,7 @@ from typing import Any
 from pydantic import ValidationError
 
 from calib.errors import InputError, OutputError
-from calib.output import output_errors
+from calib.files import output_errors
 from calib.report_json import CheckReport
 from daemon.session.database import FlightLock, connect_writer, database_errors
 from daemon.session.reader import SessionReader

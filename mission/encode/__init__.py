@@ -7,11 +7,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from calib.errors import InputError
+from calib.files import write_bytes_atomic
 from calib.frames import LocalFrame
 from mission.encode import ardupilot, kml, litchi, px4, qgc_plan, waypoints, wpml, wpml_read
 from mission.encode.compare import compare
 from mission.encode.decode import stations_of_items
-from mission.encode.files import read_bytes, text_of, write_bytes_atomic
+from mission.encode.files import read_bytes, text_of
 from mission.encode.items import FLAVOURS, Aim, Flavour, Item
 from mission.encode.readplan import ReadPlan
 from mission.fence import Fence

@@ -1,43 +1,13 @@
-"""Bytes of a mission file in and out."""
+"""Bytes of a mission file that somebody else may have written."""
 
 from __future__ import annotations
 
-import os
-import tempfile
 from pathlib import Path
 
 from calib.errors import FormatError, InputError
 
 #: No mission file is larger; a larger one is something else, or meant to harm.
 LARGEST_BYTES = 64 * 1024 * 1024
-
-
-def write_bytes_atomic(path: Path, data: bytes) -> None:
-    """Write to a sibling and rename it to ``path``; an old file stays until then.
-
-    Raises:
-        OutputError: not writable, no such folder, disk full.
-    """
-    # Only here: that module brings the whole report with it.
-    from calib.output import output_errors
-
-    with output_errors(path):
-        if path.exists() and not path.is_file() and not path.is_dir():
-            path.write_bytes(data)
-            return
-        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(data)
-                file.flush()
-                os.fsync(file.fileno())
-            mask = os.umask(0)
-            os.umask(mask)
-            Path(name).chmod(0o666 & ~mask)
-            Path(name).replace(path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
 
 
 def read_bytes(path: Path) -> bytes:
