@@ -1,21 +1,13 @@
-"""The report of a check as one HTML file that needs nothing but a browser.
-
-Everything is inside: styles, plotly's browser library and the figures' data. The content
-security policy in its head forbids every request to anywhere and every script but the two
-written here, so that nothing in a photo's metadata can run or call out.
-"""
+"""The report of a check as one HTML file that needs nothing but a browser (``calib.html_page``)."""
 
 from __future__ import annotations
 
-import base64
-import hashlib
 import math
-from importlib import metadata, resources
+from importlib import metadata
 from pathlib import Path
 
-from plotly.offline import get_plotlyjs
-
 from calib.findings import Finding, State, Verdict
+from calib.html_page import CROSS, TICK, drawn_sign, html_page, sentence
 from calib.photos.photo import Processing
 from calib.propagation import parameter_sigmas
 from calib.report_figures import figures_section
@@ -35,7 +27,6 @@ from calib.wording import (
     quantity,
     rule_title,
     unit_text,
-    with_bound_units,
 )
 
 _GROUPS = {State.FLAG: "Not in order", State.UNKNOWN: "Not known", State.PASS: "In order"}
@@ -44,10 +35,9 @@ _PROCESSING = {
     Processing.LENS_CORRECTED: "lens-corrected in the camera",
     Processing.UNKNOWN: "lens correction in the camera unknown",
 }
-#: Drawn signs, because fonts differ in what they have: tick, cross, question mark.
 _SIGNS = {
-    State.PASS: '<path d="M6 12.5l4 4 8-9"/>',
-    State.FLAG: '<path d="M7.5 7.5l9 9M16.5 7.5l-9 9"/>',
+    State.PASS: TICK,
+    State.FLAG: CROSS,
     State.UNKNOWN: '<path d="M9 9.5a3 3 0 1 1 4.4 2.7c-1 .6-1.4 1.1-1.4 2.3M12 17.6v.2"/>',
 }
 _VERDICT_SIGNS = {
@@ -59,13 +49,6 @@ _VERDICT_SIGNS = {
 
 def render_report(result: CheckResult) -> str:
     """The whole report as HTML text; the same result gives the same text."""
-    library = get_plotlyjs().replace("</script", "<\\/script")
-    start = _bundled("report.js")
-    policy = (
-        "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; "
-        f"script-src {_script_hash(library)} {_script_hash(start)}; base-uri 'none'; form-action 'none'"
-    )
-    css = _bundled("report.css")
     title = f"{VERDICT_WORDS[result.verdict]}: {camera_name(result.camera)}"
     body = "\n".join(
         [
@@ -82,49 +65,14 @@ def render_report(result: CheckResult) -> str:
             "</main>",
         ]
     )
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{policy}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{html_text(title)} - fieldcal</title>
-<style>{css}</style>
-</head>
-<body>
-{body}
-<script>{library}</script>
-<script>{start}</script>
-</body>
-</html>
-"""
-
-
-def _bundled(name: str) -> str:
-    return resources.files("calib").joinpath("data", name).read_text(encoding="utf-8")
-
-
-def _script_hash(script: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
-
-
-def _sign(state: State) -> str:
-    return (
-        '<svg viewBox="0 0 24 24" aria-hidden="true" focusable="false" fill="none" stroke="currentColor" '
-        'stroke-width="2.6" stroke-linecap="round" stroke-linejoin="round">'
-        f'<circle cx="12" cy="12" r="10.4"/>{_SIGNS[state]}</svg>'
-    )
-
-
-def _sentence(text: str) -> str:
-    return with_bound_units(html_text(text))
+    return html_page(title, body)
 
 
 def _verdict(result: CheckResult) -> str:
     verdict = result.verdict
     return (
-        f'<header class="verdict {verdict.value.lower()}"><h1>{_sign(_VERDICT_SIGNS[verdict])}'
-        f"<span>{VERDICT_WORDS[verdict]}</span></h1><p>{_sentence(result.headline)}</p></header>"
+        f'<header class="verdict {verdict.value.lower()}"><h1>{drawn_sign(_SIGNS[_VERDICT_SIGNS[verdict]])}'
+        f"<span>{VERDICT_WORDS[verdict]}</span></h1><p>{sentence(result.headline)}</p></header>"
     )
 
 
@@ -141,7 +89,7 @@ def _facts(result: CheckResult) -> str:
         parts.append(f"{heights} m above ground")
     if metric and math.isfinite(network.gsd_m):
         parts.append(f"{100 * network.gsd_m:.1f} cm per pixel")
-    return f'<p class="facts">{_sentence(" · ".join(parts))}</p>'
+    return f'<p class="facts">{sentence(" · ".join(parts))}</p>'
 
 
 def _what_to_fly(result: CheckResult) -> str:
@@ -149,7 +97,7 @@ def _what_to_fly(result: CheckResult) -> str:
         return ""
     return (
         f'<section class="fly" aria-labelledby="fly"><h2 id="fly">What to fly</h2>'
-        f"<p>{_sentence(result.what_to_fly)}</p></section>"
+        f"<p>{sentence(result.what_to_fly)}</p></section>"
     )
 
 
@@ -164,14 +112,14 @@ def _findings(result: CheckResult) -> str:
 
 
 def _finding(finding: Finding) -> str:
-    measure = [f"<b>{_sentence(finding_value(finding))}</b>"]
+    measure = [f"<b>{sentence(finding_value(finding))}</b>"]
     if finding.threshold is not None:
-        measure.append(f"threshold {_sentence(quantity(finding.threshold, None, unit_text(finding.unit)))}")
+        measure.append(f"threshold {sentence(quantity(finding.threshold, None, unit_text(finding.unit)))}")
     if finding.source:
-        measure.append(f"from {_sentence(finding.source)}")
+        measure.append(f"from {sentence(finding.source)}")
     return (
-        f'<li class="{finding.state.value}">{_sign(finding.state)}<div>'
-        f"<h4>{html_text(rule_title(finding.rule))}</h4><p>{_sentence(finding.message)}</p>"
+        f'<li class="{finding.state.value}">{drawn_sign(_SIGNS[finding.state])}<div>'
+        f"<h4>{html_text(rule_title(finding.rule))}</h4><p>{sentence(finding.message)}</p>"
         f'<p class="measure">{" · ".join(measure)}</p></div></li>'
     )
 

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from datetime import date
 from pathlib import Path
@@ -12,11 +10,8 @@ from typing import Annotated
 
 import numpy as np
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 
 from calib import frames
-from calib.align.engine import Progress as Report
 from calib.check import Options, check_photos, read_set
 from calib.files import check_file_writable, output_folder, write_text_atomic
 from calib.findings import State, Verdict
@@ -27,6 +22,7 @@ from calib.report_json import report_json
 from calib.result import CheckResult
 from calib.wording import VERDICT_WORDS, printable
 from daemon.output import console, write_stdout
+from daemon.progress import progress_line
 from daemon.terminal import print_summary
 from mission.advice import describe_circle
 
@@ -62,7 +58,7 @@ def check(
     if reference is not None:
         load_reference(reference)
     hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
-    with _progress(hidden) as report:
+    with progress_line(hidden, "starting") as report:
         found = read_set(photos, report)
         require_block(found)
         with output_folder(out):
@@ -136,30 +132,3 @@ def _show(
         print_summary(result, console(to_stderr), out / "report.html", notes)
     elif not to_stderr:
         print(f"{VERDICT_WORDS[result.verdict]}: {printable(result.headline)}")
-
-
-def _nothing(stage: str, done: int, total: int) -> None:
-    del stage, done, total
-
-
-@contextmanager
-def _progress(hidden: bool) -> Iterator[Report]:
-    """A progress line on stderr that names the stage."""
-    if hidden:
-        yield _nothing
-        return
-    bar = Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description:<22}"),
-        BarColumn(bar_width=30),
-        MofNCompleteColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )
-    with bar:
-        task = bar.add_task("starting", total=None)
-
-        def report(stage: str, done: int, total: int) -> None:
-            bar.update(task, description=stage, completed=done if total else 0, total=total or None)
-
-        yield report

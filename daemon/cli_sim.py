@@ -4,16 +4,13 @@ from __future__ import annotations
 
 import re
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import contextmanager
 from dataclasses import replace
 from enum import StrEnum
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
 import typer
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
 
 from calib.errors import InputError, OutputError
 from calib.files import output_errors, output_folder
@@ -21,6 +18,7 @@ from calib.photos.photo import Processing
 from calib.reference_file import write_reference_file
 from calib.wording import path_text, printable
 from daemon.output import console, table
+from daemon.progress import progress_line
 from sim.cameras import CAMERAS, CameraModel, find_camera
 from sim.gps import GpsKind
 from sim.recipes import RECIPES, Recipe, find_recipe
@@ -195,8 +193,9 @@ def _rendered(
     hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
     with output_folder(out):
         try:
-            with output_errors(out), _progress(hidden) as report:
-                truth = write_survey(recipe.name, out, seed, size=size, options=options, progress=report)
+            with output_errors(out), progress_line(hidden, "making the ground") as report:
+                photos_done = partial(report, "rendering photos")
+                truth = write_survey(recipe.name, out, seed, size=size, options=options, progress=photos_done)
         except BaseException:
             _say_incomplete(out)
             raise
@@ -222,30 +221,3 @@ def _tell(recipe: Recipe, truth: SurveyTruth, out: Path) -> None:
     say.print("Try:")
     folder = path_text(out)
     say.print(f"  fieldcal check {folder} --reference {folder}/{LENS_FILE}", soft_wrap=True)
-
-
-def _nothing(done: int, total: int) -> None:
-    del done, total
-
-
-@contextmanager
-def _progress(hidden: bool) -> Iterator[Callable[[int, int], None]]:
-    """A progress line on stderr; before the first photo the ground is made."""
-    if hidden:
-        yield _nothing
-        return
-    bar = Progress(
-        SpinnerColumn(),
-        TextColumn("{task.description:<22}"),
-        BarColumn(bar_width=30),
-        MofNCompleteColumn(),
-        console=Console(stderr=True),
-        transient=True,
-    )
-    with bar:
-        task = bar.add_task("making the ground", total=None)
-
-        def report(done: int, total: int) -> None:
-            bar.update(task, description="rendering photos", completed=done, total=total)
-
-        yield report

@@ -15,6 +15,7 @@ from mission.encode import SUFFIXES
 from mission.plan import stations
 from mission.planned import Planned
 from mission.rule import Finding
+from mission.timing import minutes
 
 SCHEMA = "fieldcal.plan/1"
 _SHEET_WORDS = "plan sheet, open it in a browser"
@@ -116,11 +117,6 @@ def print_plan(planned: Planned, out: Console, written: list[Path], losses: list
         out.print(f"Note: {note}")
     for path in written:
         out.print(f"Wrote {path} ({SUFFIXES.get(path.suffix.lower(), _SHEET_WORDS)}).")
-
-
-def minutes(seconds: float) -> str:
-    whole, rest = divmod(round(seconds), 60)
-    return f"{whole} min {rest:02d} s"
 
 
 def _percent(value: float) -> str:

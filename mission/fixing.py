@@ -15,7 +15,7 @@ from calib.camera import FloatArray
 from calib.limits import percent
 from mission.candidates import Candidates, rings, single_stations
 from mission.optimise import Choice, Criterion, Search
-from mission.plan import Plan, Shot, Station, Waypoint, stations
+from mission.plan import Plan, Station, stations, stop
 from mission.planned_network import Assumptions, PlannedNetwork, ground_heights_m, planned_network
 from mission.prediction import Prediction, predict_stations
 from mission.route import Gap, plan_gaps, with_stops
@@ -77,7 +77,7 @@ def fix(
             plan, (), 0.0, before, before, f"Nothing can be added. {_known(before)}", _nothing(candidates)
         )
     order = candidates.detours.order(choice.photos)
-    stops = [[_stop(candidates.stations[i]) for i in way] for way in order]
+    stops = [[stop(candidates.stations[i]) for i in way] for way in order]
     fixed = with_stops(plan, gaps, stops)
     added = tuple(candidates.stations[i] for way in order for i in way)
     after = predict_stations(stations(fixed), plan.camera, ground, area, given)
@@ -195,18 +195,6 @@ def _nearest(gaps: Sequence[Gap], middle_m: FloatArray) -> tuple[Gap, ...]:
         return float(np.linalg.norm(ends - middle_m, axis=1).sum() - np.linalg.norm(ends[1] - ends[0]))
 
     return tuple(sorted(sorted(gaps, key=away)[:MOST_GAPS], key=lambda g: g.index))
-
-
-def _stop(station: Station) -> Waypoint:
-    return Waypoint(
-        station.east_m,
-        station.north_m,
-        station.height_m,
-        station.yaw_deg,
-        station.pitch_deg,
-        Shot.STOP,
-        pattern=station.pattern,
-    )
 
 
 def _known(prediction: Prediction) -> str:

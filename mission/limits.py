@@ -19,7 +19,7 @@ from mission.limits_path import (
 from mission.plan import Plan, Shot, line_photos_m, stations
 from mission.rule import Finding
 from mission.site import Site
-from mission.timing import timing
+from mission.timing import minutes, timing
 
 #: A first waypoint farther away is more often a slip than meant.
 FIRST_WAYPOINT_M = 900.0
@@ -117,8 +117,8 @@ def _endurance(plan: Plan, site: Site) -> Finding:
     share = 100 * cost.battery_share
     ok = share <= limit
     message = (
-        f"The flight takes {_minutes(cost.duration_s)} and {share:.0f} % of a battery "
-        f"({_minutes(plan.vehicle.endurance_s)}); {100 - limit:.0f} % are kept for extra passes and landing"
+        f"The flight takes {minutes(cost.duration_s)} and {share:.0f} % of a battery "
+        f"({minutes(plan.vehicle.endurance_s)}); {100 - limit:.0f} % are kept for extra passes and landing"
     )
     if ok:
         message += "."
@@ -152,8 +152,3 @@ def _items(plan: Plan, items: int | None) -> Finding:
     message = f"The mission has about {items} items, and the autopilot holds {most}"
     message += "." if ok else ": split the area, or follow the terrain less closely (fly higher)."
     return Finding("item-limit", True, ok, float(items), float(most), "items", message)
-
-
-def _minutes(seconds: float) -> str:
-    minutes, rest = divmod(round(seconds), 60)
-    return f"{minutes} min {rest:02d} s"

@@ -120,6 +120,19 @@ def stations(plan: Plan) -> tuple[Station, ...]:
     return tuple(found)
 
 
+def stop(station: Station) -> Waypoint:
+    """One photo from a standing aircraft."""
+    return Waypoint(
+        station.east_m,
+        station.north_m,
+        station.height_m,
+        station.yaw_deg,
+        station.pitch_deg,
+        Shot.STOP,
+        pattern=station.pattern,
+    )
+
+
 def line_photos_m(start: Waypoint, end: Waypoint) -> FloatArray:
     """Where the photos of a LINE are taken, (n, 3): at both ends and at most ``spacing_m`` apart."""
     if not start.spacing_m > 0:

@@ -1,29 +1,26 @@
 """The plan sheet: one HTML file for the field bag, that needs nothing but a browser.
 
-Styles, script and policy are those of the report (``calib.report``): no request to anywhere, no
-script but the two written here.
+Styles, script and policy are those of the report (``calib.html_page``).
 """
 
 from __future__ import annotations
 
-import base64
-import hashlib
-from importlib import metadata, resources
+from importlib import metadata
 from pathlib import Path
-
-from plotly.offline import get_plotlyjs
 
 from calib.files import write_text_atomic
 from calib.findings import Verdict
-from calib.wording import VERDICT_WORDS, html_text, quantity, with_bound_units
+from calib.html_page import CROSS, TICK, drawn_sign, html_page, sentence
+from calib.wording import VERDICT_WORDS, html_text, quantity
 from mission.limits import hard_violations
 from mission.planned import Planned
 from mission.rule import Finding
 from mission.sheet_figures import figures
+from mission.timing import minutes
 
 _SIGNS = {
-    "pass": '<path d="M6 12.5l4 4 8-9"/>',
-    "flag": '<path d="M7.5 7.5l9 9M16.5 7.5l-9 9"/>',
+    "pass": TICK,
+    "flag": CROSS,
     "unknown": '<path d="M12 6v7.5M12 17.2v.4"/>',
 }
 _EXTRA_CSS = """
@@ -43,12 +40,6 @@ def write_sheet(planned: Planned, path: Path) -> None:
 
 def render_sheet(planned: Planned) -> str:
     """The sheet as HTML text; the same plan gives the same text."""
-    library = get_plotlyjs().replace("</script", "<\\/script")
-    start = _bundled("report.js")
-    policy = (
-        "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; "
-        f"script-src {_hash(library)} {_hash(start)}; base-uri 'none'; form-action 'none'"
-    )
     body = "\n".join(
         [
             _header(planned),
@@ -62,42 +53,7 @@ def render_sheet(planned: Planned) -> str:
             "</main>",
         ]
     )
-    return f"""<!DOCTYPE html>
-<html lang="en">
-<head>
-<meta charset="utf-8">
-<meta http-equiv="Content-Security-Policy" content="{policy}">
-<meta name="viewport" content="width=device-width, initial-scale=1">
-<title>{html_text(planned.plan.name)} - plan - fieldcal</title>
-<style>{_bundled("report.css")}{_EXTRA_CSS}</style>
-</head>
-<body>
-{body}
-<script>{library}</script>
-<script>{start}</script>
-</body>
-</html>
-"""
-
-
-def _bundled(name: str) -> str:
-    return resources.files("calib").joinpath("data", name).read_text(encoding="utf-8")
-
-
-def _hash(script: str) -> str:
-    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
-
-
-def _sign(kind: str) -> str:
-    return (
-        '<svg viewBox="0 0 24 24" aria-hidden="true" focusable="false" fill="none" stroke="currentColor" '
-        'stroke-width="2.6" stroke-linecap="round" stroke-linejoin="round">'
-        f'<circle cx="12" cy="12" r="10.4"/>{_SIGNS[kind]}</svg>'
-    )
-
-
-def _sentence(text: str) -> str:
-    return with_bound_units(html_text(text))
+    return html_page(f"{planned.plan.name} - plan", body, _EXTRA_CSS)
 
 
 def _header(planned: Planned) -> str:
@@ -110,28 +66,27 @@ def _header(planned: Planned) -> str:
         word = f"{VERDICT_WORDS[planned.prediction.verdict]} EXPECTED"
         kind, sign, text = "cannot_tell", "unknown", planned.prediction.reason
     return (
-        f'<header class="verdict {kind}"><h1>{_sign(sign)}<span>{word}</span></h1>'
-        f"<p>{_sentence(text)}</p></header>"
+        f'<header class="verdict {kind}"><h1>{drawn_sign(_SIGNS[sign])}<span>{word}</span></h1>'
+        f"<p>{sentence(text)}</p></header>"
     )
 
 
 def _facts(planned: Planned) -> str:
     cost, site = planned.timing, planned.site
-    whole, rest = divmod(round(cost.duration_s), 60)
     parts = [
         planned.plan.name,
         f"{cost.photos} photos with {planned.plan.camera_name}",
         f"{site.height_m:g} m above ground, {100 * planned.gsd_m:.1f} cm per pixel",
-        f"{cost.length_m / 1000:.1f} km, {whole} min {rest:02d} s",
+        f"{cost.length_m / 1000:.1f} km, {minutes(cost.duration_s)}",
         f"{100 * cost.battery_share:.0f} % of a battery",
     ]
-    return f'<p class="facts">{_sentence(" · ".join(parts))}</p>'
+    return f'<p class="facts">{sentence(" · ".join(parts))}</p>'
 
 
 def _notes(planned: Planned) -> str:
     if not planned.notes:
         return ""
-    items = "".join(f"<li>{_sentence(note)}</li>" for note in planned.notes)
+    items = "".join(f"<li>{sentence(note)}</li>" for note in planned.notes)
     return (
         '<section class="fly" aria-labelledby="know"><h2 id="know">To know before the flight</h2>'
         f'<ul class="names">{items}</ul></section>'
@@ -150,7 +105,7 @@ def _prediction(planned: Planned) -> str:
         ("Ground resolution, worst place", quantity(100 * p.gsd_worst_m, None, "cm", 2)),
     ]
     cells = "".join(
-        f'<tr><th scope="row">{html_text(name)}</th><td>{_sentence(value)}</td></tr>' for name, value in rows
+        f'<tr><th scope="row">{html_text(name)}</th><td>{sentence(value)}</td></tr>' for name, value in rows
     )
     return (
         '<section aria-labelledby="predicted"><h2 id="predicted">Predicted quality</h2>'
@@ -175,8 +130,9 @@ def _findings(planned: Planned) -> str:
 def _finding(finding: Finding, kind: str) -> str:
     title = finding.rule.replace("-", " ")
     return (
-        f'<li class="{kind}">{_sign(kind)}<div><h4>{html_text(title[:1].upper() + title[1:])}</h4>'
-        f"<p>{_sentence(finding.message)}</p></div></li>"
+        f'<li class="{kind}">{drawn_sign(_SIGNS[kind])}<div>'
+        f"<h4>{html_text(title[:1].upper() + title[1:])}</h4>"
+        f"<p>{sentence(finding.message)}</p></div></li>"
     )
 
 
@@ -186,7 +142,7 @@ def _figures(planned: Planned) -> str:
         data = figure.to_json().replace("<", "\\u003c")
         parts.append(
             f'<figure><h3>{html_text(title)}</h3><div class="plot" id="plot{number}" role="img" '
-            f'aria-label="{html_text(title)}"></div><figcaption>{_sentence(caption)}</figcaption>'
+            f'aria-label="{html_text(title)}"></div><figcaption>{sentence(caption)}</figcaption>'
             f'<script type="application/json" data-plot="plot{number}">{data}</script></figure>'
         )
     return "\n".join([*parts, "</section>"])
@@ -207,7 +163,7 @@ def _provenance(planned: Planned) -> str:
         ("Wind", f"{site.wind.speed_m_s:g} m/s from {site.wind.from_deg:g} degrees"),
         ("Software", f"fieldcal {metadata.version('fieldcal')}"),
     ]
-    items = "".join(f"<dt>{html_text(k)}</dt><dd>{_sentence(v)}</dd>" for k, v in rows)
+    items = "".join(f"<dt>{html_text(k)}</dt><dd>{sentence(v)}</dd>" for k, v in rows)
     return (
         '<section aria-labelledby="from"><h2 id="from">What it is planned from</h2>'
         f"<dl>{items}</dl></section>"

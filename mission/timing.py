@@ -163,3 +163,9 @@ def _straight(start: FloatArray, end: FloatArray, after: FloatArray) -> bool:
     one, two = end - start, after - end
     size = float(np.linalg.norm(one) * np.linalg.norm(two))
     return size > 0 and float(one @ two) / size > math.cos(math.radians(_STRAIGHT_DEG))
+
+
+def minutes(seconds: float) -> str:
+    """A time in the air as people say it: "5 min 03 s"."""
+    whole, rest = divmod(round(seconds), 60)
+    return f"{whole} min {rest:02d} s"

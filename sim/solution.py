@@ -8,14 +8,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-
-from calib.align.child import Outcome
-from calib.align.dome import predict_dome
+from calib.align.child import Outcome, measured
 from calib.align.georeference import place, read_tags
-from calib.align.network import measure_network
 from calib.align.selfcal import Calibrated
-from calib.align.uncertainty import estimate
 from calib.field import Lens
 from calib.frames import LocalFrame
 from calib.photos.photo import CameraIdentity, Photo, Position, Processing
@@ -104,15 +99,4 @@ def outcome_of(
         AlignmentError: too few observations survive.
     """
     calibrated = calibrate_block(block, nominal_f_px, seed)
-    honest = estimate(calibrated)
-    solution = solution_of(block, calibrated, camera)
-    network = measure_network(
-        solution.rotations_cam_from_world,
-        solution.centres_m,
-        solution.points_m,
-        solution.observations,
-        honest.brown.f_px,
-    )
-    height = float(np.median(network.height_agl_m))
-    dome = predict_dome(calibrated, honest.lens_covariance, reference, height)
-    return Outcome(solution, honest, network, dome), calibrated
+    return measured(solution_of(block, calibrated, camera), calibrated, reference), calibrated

@@ -1,12 +1,12 @@
 import errno
 import json
 import os
-import subprocess
 from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
 import result_factory
+from disks import mounted
 
 import calib.output
 from calib.errors import OutputError
@@ -79,17 +79,8 @@ def test_an_interrupt_leaves_nothing_behind(
 @pytest.fixture
 def tiny_disk(tmp_path: Path) -> Iterator[Path]:
     """A real file system of two megabytes."""
-    mount = tmp_path / "disk"
-    mount.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=2m", "tmpfs", str(mount)]
-    try:
-        done = subprocess.run(command, capture_output=True, check=False)
-    except FileNotFoundError:
-        pytest.skip("no mount command on this machine")
-    if done.returncode != 0:
-        pytest.skip("file systems cannot be mounted here")
-    yield mount
-    subprocess.run(["umount", str(mount)], check=True)
+    with mounted(tmp_path, 2) as disk:
+        yield disk
 
 
 def test_a_full_disk_is_one_sentence(result: CheckResult, tiny_disk: Path) -> None:

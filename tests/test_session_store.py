@@ -15,6 +15,7 @@ from pathlib import Path
 
 import pytest
 import result_factory
+from disks import mounted
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
@@ -412,17 +413,8 @@ def test_a_full_disk_takes_nothing_and_loses_nothing(session: Session) -> None:
 @pytest.fixture
 def small_disk(tmp_path: Path) -> Iterator[Path]:
     """A real file system of one megabyte."""
-    mount = tmp_path / "disk"
-    mount.mkdir()
-    command = ["mount", "-t", "tmpfs", "-o", "size=1m", "tmpfs", str(mount)]
-    try:
-        done = subprocess.run(command, capture_output=True, check=False)
-    except FileNotFoundError:
-        pytest.skip("no mount command on this machine")
-    if done.returncode != 0:
-        pytest.skip("file systems cannot be mounted here")
-    yield mount
-    subprocess.run(["umount", str(mount)], check=True)
+    with mounted(tmp_path, 1) as disk:
+        yield disk
 
 
 def test_a_really_full_disk_and_then_a_read_only_one(small_disk: Path) -> None:

@@ -8,6 +8,7 @@ import resource
 import signal
 import time
 import traceback
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
@@ -19,6 +20,7 @@ import numpy as np
 from calib.align.dome import predict_dome
 from calib.align.engine import Aligner, Progress, Settings
 from calib.align.network import measure_network
+from calib.align.selfcal import Calibrated
 from calib.align.uncertainty import estimate
 from calib.camera import FloatArray
 from calib.errors import AlignmentError, FieldcalError
@@ -64,12 +66,26 @@ def work(job: Job, progress: Progress) -> Outcome:
     aligner = Aligner(job.settings, progress)
     aligner.add_all(job.photos)
     aligned = aligner.solve()
-    solution = aligned.solution
 
     def tick() -> None:
         progress("comparing models", 0, 0)
 
-    honest = estimate(aligned.calibrated, tick)
+    return measured(aligned.solution, aligned.calibrated, job.reference, job.reference_covariance, tick)
+
+
+def measured(
+    solution: Solution,
+    calibrated: Calibrated,
+    reference: Lens | None,
+    reference_covariance: FloatArray | None = None,
+    tick: Callable[[], None] | None = None,
+) -> Outcome:
+    """Uncertainty, network and dome of a solved block: all that the verdict rests on.
+
+    Args:
+        reference: total mapping to hold the dome against, with its covariance (35, 35).
+    """
+    honest = estimate(calibrated, tick)
     network = measure_network(
         solution.rotations_cam_from_world,
         solution.centres_m,
@@ -78,9 +94,7 @@ def work(job: Job, progress: Progress) -> Outcome:
         honest.brown.f_px,
     )
     height = float(np.median(network.height_agl_m))
-    dome = predict_dome(
-        aligned.calibrated, honest.lens_covariance, job.reference, height, tick, job.reference_covariance
-    )
+    dome = predict_dome(calibrated, honest.lens_covariance, reference, height, tick, reference_covariance)
     return Outcome(solution, honest, network, dome)
 
 

@@ -9,8 +9,8 @@ import shapely
 
 from calib.camera import FloatArray
 from calib.errors import InputError
-from mission.patterns.piece import Part, Piece, stop
-from mission.plan import Station
+from mission.patterns.piece import Part, Piece
+from mission.plan import Station, stop
 from mission.site import FAN_TILT_DEG, ORBIT_TILT_DEG, Site
 
 ORBIT_PHOTOS = 24

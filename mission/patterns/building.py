@@ -11,8 +11,8 @@ from shapely import LineString, Point, Polygon
 from calib.camera import FloatArray
 from calib.errors import InputError
 from mission.patterns.around import allowed
-from mission.patterns.piece import Part, Piece, stop
-from mission.plan import Station
+from mission.patterns.piece import Part, Piece
+from mission.plan import Station, stop
 from mission.site import Site, Wall
 
 #: Distance between the stations of a ring, as a share of the distance to the building.

@@ -10,7 +10,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib.camera import FloatArray
-from mission.plan import Shot, Station, Waypoint
+from mission.plan import Shot, Waypoint
 
 
 @dataclass(frozen=True)
@@ -62,16 +62,3 @@ def backwards(piece: Piece) -> Piece:
 def begun_at(piece: Piece, index: int) -> Piece:
     """A loop that begins at its waypoint ``index``."""
     return replace(piece, waypoints=piece.waypoints[index:] + piece.waypoints[:index])
-
-
-def stop(station: Station) -> Waypoint:
-    """One photo from a standing aircraft."""
-    return Waypoint(
-        station.east_m,
-        station.north_m,
-        station.height_m,
-        station.yaw_deg,
-        station.pitch_deg,
-        Shot.STOP,
-        pattern=station.pattern,
-    )

@@ -1,0 +1,68 @@
+"""The frame of every HTML file: one file that needs nothing but a browser.
+
+Everything is inside: styles, plotly's browser library and the figures' data. The content
+security policy in its head forbids every request to anywhere and every script but the two
+written here, so that nothing in a photo's metadata can run or call out.
+"""
+
+from __future__ import annotations
+
+import base64
+import hashlib
+from importlib import resources
+
+from plotly.offline import get_plotlyjs
+
+from calib.wording import html_text, with_bound_units
+
+#: Drawn signs, because fonts differ in what they have.
+TICK = '<path d="M6 12.5l4 4 8-9"/>'
+CROSS = '<path d="M7.5 7.5l9 9M16.5 7.5l-9 9"/>'
+
+
+def html_page(title: str, body: str, extra_css: str = "") -> str:
+    """The whole file. ``title`` is plain text, ``body`` is HTML."""
+    library = get_plotlyjs().replace("</script", "<\\/script")
+    start = _bundled("report.js")
+    policy = (
+        "default-src 'none'; style-src 'unsafe-inline'; img-src data: blob:; "
+        f"script-src {_script_hash(library)} {_script_hash(start)}; base-uri 'none'; form-action 'none'"
+    )
+    return f"""<!DOCTYPE html>
+<html lang="en">
+<head>
+<meta charset="utf-8">
+<meta http-equiv="Content-Security-Policy" content="{policy}">
+<meta name="viewport" content="width=device-width, initial-scale=1">
+<title>{html_text(title)} - fieldcal</title>
+<style>{_bundled("report.css")}{extra_css}</style>
+</head>
+<body>
+{body}
+<script>{library}</script>
+<script>{start}</script>
+</body>
+</html>
+"""
+
+
+def drawn_sign(drawing: str) -> str:
+    """An SVG drawing inside a circle."""
+    return (
+        '<svg viewBox="0 0 24 24" aria-hidden="true" focusable="false" fill="none" stroke="currentColor" '
+        'stroke-width="2.6" stroke-linecap="round" stroke-linejoin="round">'
+        f'<circle cx="12" cy="12" r="10.4"/>{drawing}</svg>'
+    )
+
+
+def sentence(text: str) -> str:
+    """Plain text as HTML, numbers bound to their units."""
+    return with_bound_units(html_text(text))
+
+
+def _bundled(name: str) -> str:
+    return resources.files("calib").joinpath("data", name).read_text(encoding="utf-8")
+
+
+def _script_hash(script: str) -> str:
+    return f"'sha256-{base64.b64encode(hashlib.sha256(script.encode()).digest()).decode()}'"
