@@ -7,7 +7,7 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calib.brownfit import image_grid_rays
+from calib.brownfit import image_grid_rays, turned_rays
 from calib.camera import FloatArray
 from calib.field import Lens
 
@@ -24,16 +24,7 @@ def mapping_error(
     rays = image_grid_rays(lens, 20, 15)
     difference = (lens.project(rays) - truth(rays)).ravel()
     _, by_ray, by_lens = lens.derivatives(rays)
-    x, y = rays.T
-    turns = np.stack(
-        [
-            np.stack([x * y, 1 + y * y], axis=-1),
-            np.stack([-(1 + x * x), -x * y], axis=-1),
-            np.stack([y, -x], axis=-1),
-        ],
-        axis=-1,
-    )
-    q, _ = np.linalg.qr((by_ray @ turns).reshape(-1, 3))
+    q, _ = np.linalg.qr((by_ray @ turned_rays(rays)).reshape(-1, 3))
     rest = difference - q @ (q.T @ difference)
     size = float(rest @ rest)
     rms = math.sqrt(size / len(rays))

@@ -129,9 +129,8 @@ def score(case: Case) -> Score:
     held = reference_of(case, block)
     truth = block.lens.brown
     nominal = truth.f_px * (1 + 0.04 * float(np.random.default_rng([case.number, 25]).uniform(-1, 1)))
-    lens = None if held.reference is None else held.reference.lens
     try:
-        outcome, calibrated = outcome_of(block, nominal, case.number, lens, identity_of(block))
+        outcome, calibrated = outcome_of(block, nominal, case.number, held.reference, identity_of(block))
     except AlignmentError as error:
         return Score(case, NO_RESULT, str(error), (), (), len(block.centres_m), len(block.observations))
     result = conclude(outcome, (), held.reference, held.note, Timing(0.0, 0.0, 0.0))

@@ -27,6 +27,13 @@ def image_grid_rays(lens: Lens, columns: int = 28, rows: int = 21) -> FloatArray
     return good
 
 
+def turned_rays(rays: FloatArray) -> FloatArray:
+    """d rays / d rotation vector of a small turn of all rays about x, y and z: (g, 2) -> (g, 2, 3)."""
+    x, y = rays.T
+    by_x, by_y = np.stack([-x * y, -(1 + y * y)], axis=-1), np.stack([1 + x * x, x * y], axis=-1)
+    return np.stack([by_x, by_y, np.stack([-y, x], axis=-1)], axis=-1)
+
+
 def fit_brown(lens: Lens, keep_k4: bool = False, affinity: bool = True) -> tuple[BrownCamera, FloatArray]:
     """Brown camera nearest to the total mapping of ``lens``, and d fitted / d lens (11, 35).
 

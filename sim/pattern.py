@@ -7,6 +7,7 @@ from functools import lru_cache
 
 import numpy as np
 
+from calib.brownfit import turned_rays
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 
 #: Brown parameters that the pattern is orthogonal to (K4 is not in the papers' models).
@@ -53,17 +54,8 @@ def tangent_space(camera: BrownCamera, pixels: FloatArray) -> FloatArray:
     """
     rays = camera.unproject(pixels)
     _, by_ray, by_param = camera.derivatives(rays)
-    x, y = rays[:, 0], rays[:, 1]
-    turns = np.stack(
-        [
-            np.stack([x * y, 1 + y * y], axis=-1),
-            np.stack([1 + x * x, x * y], axis=-1),
-            np.stack([-y, x], axis=-1),
-        ],
-        axis=-1,
-    )
     chosen = [BROWN_NAMES.index(name) for name in _TANGENT]
-    return np.concatenate([by_param[:, :, chosen], by_ray @ turns], axis=-1)
+    return np.concatenate([by_param[:, :, chosen], by_ray @ turned_rays(rays)], axis=-1)
 
 
 @lru_cache(maxsize=64)

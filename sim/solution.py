@@ -11,9 +11,9 @@ from pathlib import Path
 from calib.align.child import Outcome, measured
 from calib.align.georeference import place, read_tags
 from calib.align.selfcal import Calibrated
-from calib.field import Lens
 from calib.frames import LocalFrame
 from calib.photos.photo import CameraIdentity, Photo, Position, Processing
+from calib.reference import Reference
 from calib.solution import Solution
 from sim.network import SimBlock
 from sim.photo_writer import level_gimbal
@@ -85,7 +85,7 @@ def outcome_of(
     block: SimBlock,
     nominal_f_px: float,
     seed: int,
-    reference: Lens | None,
+    reference: Reference | None,
     camera: CameraIdentity | None = None,
 ) -> tuple[Outcome, Calibrated]:
     """Self-calibrate a simulated survey and measure all that the verdict rests on.
@@ -93,10 +93,13 @@ def outcome_of(
     Args:
         nominal_f_px: focal length that the files state.
         seed: of the start.
-        reference: total mapping to hold the dome against, for the images' size.
+        reference: to hold the dome against; for the images' size.
 
     Raises:
         AlignmentError: too few observations survive.
     """
     calibrated = calibrate_block(block, nominal_f_px, seed)
-    return measured(solution_of(block, calibrated, camera), calibrated, reference), calibrated
+    solution = solution_of(block, calibrated, camera)
+    if reference is None:
+        return measured(solution, calibrated, None), calibrated
+    return measured(solution, calibrated, reference.lens, reference.lens_covariance), calibrated

@@ -12,7 +12,7 @@ from align_scene import Scene
 from calib.align.candidates import NEIGHBOURS, TRY_ALL, appearance, candidate_pairs, footprint_centres
 from calib.align.engine import Aligned, Aligner, Settings
 from calib.align.features import Features
-from calib.brownfit import fit_brown
+from calib.brownfit import fit_brown, turned_rays
 from calib.camera import FloatArray
 from calib.errors import AlignmentError
 from calib.frames import LocalFrame, gimbal_from_rotation
@@ -85,11 +85,7 @@ def test_total_mapping_is_the_true_one(site: Site, at_once: Aligned) -> None:
     rays = true.unproject(pixels)
     difference = (lens.project(rays) - pixels).reshape(-1)
     _, by_ray, _ = true.derivatives(rays)
-    x, y = rays.T
-    turns = np.stack(
-        [np.stack([x * y, 1 + y * y], 1), np.stack([1 + x * x, x * y], 1), np.stack([-y, x], 1)], axis=2
-    )
-    design = (by_ray @ turns).reshape(-1, 3)
+    design = (by_ray @ turned_rays(rays)).reshape(-1, 3)
     rest = difference - design @ np.linalg.lstsq(design, difference, rcond=None)[0]
     assert np.abs(rest).max() < 1.0
     assert np.sqrt(np.mean(rest**2)) < 0.4

@@ -4,9 +4,13 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
+from scipy.spatial.transform import Rotation
 
-from calib.brownfit import fit_brown, image_grid_rays
-from calib.camera import BROWN_NAMES, BrownCamera
+from calib.align.adjust import Priors
+from calib.align.selfcal import lens_priors, mask
+from calib.align.uncertainty import beyond_field
+from calib.brownfit import fit_brown, image_grid_rays, turned_rays
+from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.field import LENS_NAMES, Lens
 from sim.flights import phantom3
 from sim.pattern import random_pattern
@@ -104,3 +108,33 @@ def test_pixels_beyond_the_lens_are_left_out_of_the_grid() -> None:
     rays = image_grid_rays(barrel, 20, 15)
     assert 150 < len(rays) < 300
     assert np.isfinite(rays).all()
+
+
+def test_turned_rays_are_those_of_a_turned_camera() -> None:
+    rays = np.random.default_rng(3).uniform(-0.7, 0.7, (20, 2))
+    slopes = turned_rays(rays)
+    for axis in range(3):
+        turned = [_turned(rays, h * np.eye(3)[axis]) for h in (1e-6, -1e-6)]
+        assert np.allclose((turned[0] - turned[1]) / 2e-6, slopes[:, :, axis], atol=1e-8)
+
+
+def _turned(rays: FloatArray, rotation: FloatArray) -> FloatArray:
+    moved = np.column_stack([rays, np.ones(len(rays))]) @ Rotation.from_rotvec(rotation).as_matrix().T
+    seen: FloatArray = moved[:, :2] / moved[:, 2:]
+    return seen
+
+
+def test_a_pattern_beyond_the_field_hides_the_principal_point_and_not_f() -> None:
+    camera = phantom3()
+    _, sigma = lens_priors(camera.width, camera.f_px)
+    priors = Priors(*(np.zeros(0),) * 4, lens_mean=camera.vector, lens_sigma=sigma)
+    free = mask(("f", "cx", "cy", "k1", "k2", "k3", "p1", "p2"), field=True)
+    assert not beyond_field(Lens(camera), free, priors).any()
+    lens = with_field(1, 0.4)
+    covariance = beyond_field(lens, free, priors)
+    assert not covariance[~free].any()
+    _, jacobian = fit_brown(lens)
+    out = np.sqrt(np.diag(jacobian @ covariance @ jacobian.T))
+    assert 0.5 < out[INDEX["cx"]] < 3.0
+    assert 0.5 < out[INDEX["cy"]] < 3.0
+    assert 0 < out[INDEX["f"]] / camera.f_px < 1e-4

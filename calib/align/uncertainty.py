@@ -17,7 +17,7 @@ from scipy.special import chdtrc
 from calib.align.adjust import Adjusted, Adjustment, Priors, State
 from calib.align.selfcal import Calibrated, block_correlation
 from calib.align.tracks import select, thin
-from calib.brownfit import fit_brown, image_grid_rays
+from calib.brownfit import fit_brown, image_grid_rays, turned_rays
 from calib.camera import BROWN_NAMES, FloatArray
 from calib.field import LENS_NAMES, Lens
 from calib.solution import Estimate
@@ -27,6 +27,9 @@ NB = len(BROWN_NAMES)
 COMPARE_ON = 25_000
 #: A model whose chi-square is worse with less probability than this is not defensible.
 DEFENSIBLE_P = 1e-3
+#: A smooth lens pattern does not end at the field's fourth degree; what goes on beyond it, as a share of
+#: the coefficients found, in each of this many parts of the image.
+BEYOND_FIELD, PARTS = 0.15, (6, 4)
 #: A move of an estimate that exceeds this many of its expected sigmas is model error, not chance.
 CHANCE = 3.0
 
@@ -68,6 +71,30 @@ def _variants(base: Adjusted, priors: Priors) -> list[_Model]:
         _Model("without residual field", no_field, priors, Lens(replace(plain.brown, k4=lens.brown.k4))),
         _Model("stronger residual field", base.free, replace(priors, lens_sigma=wide), lens),
     ]
+
+
+def beyond_field(lens: Lens, free: np.ndarray, priors: Priors) -> FloatArray:
+    """Covariance (35, 35) from the part of the lens's pattern that the residual field cannot follow.
+
+    A common turn of all cameras looks like a shift of the principal point with decentring and some
+    field, to within far less than a pixel: tie points tell them apart only if the model is exact to
+    that. f and radial distortion, which no turn imitates, hardly notice.
+    """
+    size = BEYOND_FIELD * float(np.sqrt(np.mean(np.square(lens.field_px))))
+    covariance = np.zeros((len(free), len(free)))
+    if size == 0.0:
+        return covariance
+    rays = image_grid_rays(lens, *PARTS)
+    _, by_ray, by_lens = lens.derivatives(rays)
+    turns = by_ray @ turned_rays(rays)
+    design = np.concatenate([by_lens[:, :, free], turns], axis=-1).reshape(2 * len(rays), -1)
+    known = np.concatenate([1 / np.square(priors.lens_sigma[free]), np.zeros(3)])
+    normal = design.T @ design / size**2 + np.diag(known)
+    scale = 1 / np.sqrt(np.diag(normal))
+    inverse = np.linalg.inv(normal * np.outer(scale, scale)) * np.outer(scale, scale)
+    n = int(free.sum())
+    covariance[np.ix_(free, free)] = inverse[:n, :n]
+    return covariance
 
 
 @dataclass(frozen=True)
@@ -151,6 +178,7 @@ def estimate(block: Calibrated, tick: Callable[[], None] | None = None) -> Estim
         moves.append(_Move(f - f_here, moved, run.covariance * excess))
     spread = max((abs(f - fitted.f_px) for f in models.values()), default=0.0)
     covariance_35 = _with_spread(covariance_35, moves, jacobian, state.lens)
+    covariance_35 = covariance_35 + beyond_field(state.lens, base.free, adjustment.priors)
     split_f, split_sigma, split_ratio = _split(block, jacobian, n_photos, excess, tick)
     return Estimate(
         brown=fitted,
