@@ -197,3 +197,21 @@ def test_start_does_not_decide() -> None:
     sigma = np.sqrt(answers[1].adjusted.covariance[0, 0])
     f = np.array([fit_brown(a.adjusted.state.lens)[0].f_px for a in answers])
     assert np.ptp(f) < 0.2 * sigma
+
+
+def test_precise_positions_weigh_only_while_they_agree_with_the_images() -> None:
+    """Fixes good to 3 cm, right ones and ones logged a tenth of a second late."""
+    right, late = [], []
+    for seed in range(3):
+        block = small("A4", seed, 400, gps_sigma_m=0.03, speed_m_s=5.0)
+        assert np.linalg.norm(block.velocity_m_s, axis=1).max() == pytest.approx(5.0)
+        wrong = replace(block, gps_m=block.gps_m + 0.1 * block.velocity_m_s)
+        for one, found in ((block, right), (wrong, late)):
+            calibrated = calibrate_block(one, NOMINAL_F_PX, seed)
+            known = float(np.median(calibrated.adjustment.priors.centre_sigma_m))
+            off, sigma = (v[0] for v in brown_errors(one, calibrated))
+            found.append((known, off / sigma, sigma))
+    assert max(known for known, _, _ in right) < 0.2
+    assert min(known for known, _, _ in late) >= 5.0
+    assert max(abs(z) for _, z, _ in right + late) < 3
+    assert max(s for _, _, s in right) < min(s for _, _, s in late) < 3 * min(s for _, _, s in right)

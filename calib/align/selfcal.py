@@ -5,7 +5,8 @@
 3. K3 and decentring stay where they are significant ([SEN] staged release).
 4. The residual field joins, with a weak prior (docs/method.md says why). Where the residuals are
    correlated within photos, the images weigh less against the priors from here on.
-5. A rolling shutter (each camera's way during its readout) joins where the photos ask for it.
+5. Precise positions (RTK) keep their weight only where the lens is the same without it.
+6. A rolling shutter (each camera's way during its readout) joins where the photos ask for it.
 """
 
 from __future__ import annotations
@@ -17,6 +18,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calib.align.adjust import Adjusted, Adjustment, Priors, State, ray_angle_deg
+from calib.align.chance import Lengths, beyond_chance
 from calib.align.correlation import correlation_factor
 from calib.align.tracks import select
 from calib.camera import BROWN_NAMES, FloatArray
@@ -38,6 +40,8 @@ LEAST_ANGLE_DEG = 2.0
 #: 30 ms at 60 m), and the significance at which a rolling shutter is believed.
 SHUTTER_WAY = 0.004
 SHUTTER_P = 1e-3
+#: What a plain receiver gets; positions that claim more are held against the block without that claim.
+PLAIN_GPS_SIGMA_M = 5.0
 #: Rounds in which measured positions that contradict the block lose weight.
 POSITION_ROUNDS = 5
 BASIC = ("f", "cx", "cy", "k1", "k2")
@@ -158,6 +162,7 @@ def calibrate(
     obs, obs_index, state, point_index = _kept(obs, obs_index, keep, sigma, state, point_index, k)
     adjustment = Adjustment(obs, k, len(state.points_m), priors, noise_factor=factor)
     result = adjustment.run(state, result.free, tick=tick)
+    adjustment, result = _with_believable_positions(adjustment, result, tick)
     adjustment = _with_shutter(adjustment, result, tick)
     result = adjustment.run(result.state, result.free, reweightings=1, response=True, tick=tick)
     return Calibrated(adjustment, result, point_index, obs_index)
@@ -200,6 +205,28 @@ def block_correlation(adjustment: Adjustment, result: Adjusted) -> float:
         (brown.width, brown.height),
         6 if adjustment.priors.shutter_sigma_m is None else 9,
     )
+
+
+def _with_believable_positions(
+    adjustment: Adjustment, result: Adjusted, tick: Callable[[], None] | None
+) -> tuple[Adjustment, Adjusted]:
+    """Positions as those of a plain receiver where the precise ones contradict the images about the lens.
+
+    A late clock or an antenna's offset errs alike in every photo: no number of photos averages it out,
+    and single misfits need not show it.
+    """
+    priors = adjustment.priors
+    known = np.isfinite(priors.centre_sigma_m).all(axis=1)
+    if not known.any() or float(np.median(priors.centre_sigma_m[known])) >= PLAIN_GPS_SIGMA_M:
+        return adjustment, result
+    loose = np.maximum(priors.centre_sigma_m, PLAIN_GPS_SIGMA_M)
+    plain = adjustment.with_priors(replace(priors, centre_sigma_m=loose))
+    weights = (result.weights, result.position_weights)
+    trial = plain.run(result.state, result.free, 40, decrement=0.05, weights=weights, damping=1e-8, tick=tick)
+    move = trial.state.lens.vector - result.state.lens.vector
+    if beyond_chance(Lengths.of(result.state.lens), move, trial.covariance, result.covariance):
+        return plain, plain.run(trial.state, result.free, tick=tick)
+    return adjustment, result
 
 
 def _with_shutter(adjustment: Adjustment, result: Adjusted, tick: Callable[[], None] | None) -> Adjustment:

@@ -15,6 +15,7 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calib.align.adjust import Adjusted, Adjustment, Priors, State
+from calib.align.chance import CHANCE, Lengths, projection_jacobian
 from calib.align.selfcal import Calibrated, block_correlation
 from calib.align.tracks import select, thin
 from calib.brownfit import fit_brown, image_grid_rays, turned_rays
@@ -30,8 +31,6 @@ DEFENSIBLE_P = 1e-3
 #: A smooth lens pattern does not end at the field's fourth degree; what goes on beyond it, as a share of
 #: the coefficients found, in each of this many parts of the image.
 BEYOND_FIELD, PARTS = 0.15, (6, 4)
-#: A move of an estimate that exceeds this many of its expected sigmas is model error, not chance.
-CHANCE = 3.0
 
 
 @dataclass(frozen=True)
@@ -138,13 +137,6 @@ def _subset(block: Calibrated, points: np.ndarray, n_photos: int) -> _Part | Non
     )
 
 
-def projection_jacobian(lens: Lens) -> FloatArray:
-    """d total mapping / d lens on a grid of the image, (2 g, 35)."""
-    _, _, by_lens = lens.derivatives(image_grid_rays(lens, 12, 9))
-    flat: FloatArray = by_lens.reshape(-1, by_lens.shape[2])
-    return flat
-
-
 def estimate(block: Calibrated, tick: Callable[[], None] | None = None) -> Estimate:
     """The calibration with sigmas that take model error into account."""
     base, adjustment = block.adjusted, block.adjustment
@@ -177,9 +169,10 @@ def estimate(block: Calibrated, tick: Callable[[], None] | None = None) -> Estim
         moved = run.state.lens.vector - own.state.lens.vector
         moves.append(_Move(f - f_here, moved, run.covariance * excess))
     spread = max((abs(f - fitted.f_px) for f in models.values()), default=0.0)
-    covariance_35 = _with_spread(covariance_35, moves, jacobian, state.lens)
+    lengths = Lengths(jacobian[0], projection_jacobian(state.lens))
+    covariance_35 = _with_spread(covariance_35, moves, lengths)
     covariance_35 = covariance_35 + beyond_field(state.lens, base.free, adjustment.priors)
-    split_f, split_sigma, split_ratio = _split(block, jacobian, n_photos, excess, tick)
+    split_f, split_sigma, split_ratio = _split(block, lengths, n_photos, excess, tick)
     return Estimate(
         brown=fitted,
         covariance=jacobian @ covariance_35 @ jacobian.T,
@@ -216,7 +209,7 @@ class _Move:
     covariance: FloatArray
 
 
-def _with_spread(covariance: FloatArray, moves: list[_Move], jacobian: FloatArray, lens: Lens) -> FloatArray:
+def _with_spread(covariance: FloatArray, moves: list[_Move], lengths: Lengths) -> FloatArray:
     """Add each model's move where it exceeds what chance explains, the largest first.
 
     Between nested models noise alone moves an estimate by the root of the difference of their
@@ -224,19 +217,11 @@ def _with_spread(covariance: FloatArray, moves: list[_Move], jacobian: FloatArra
     model error (of seven models one exceeds twice the root by chance every fifth time); beyond it
     the whole excess over sigma is. Looked for in f and in the total mapping.
     """
-    mapping = projection_jacobian(lens)
-
-    def variances(of: FloatArray) -> tuple[float, float]:
-        return (
-            float(jacobian[0] @ of @ jacobian[0]),
-            float(np.einsum("ij,jk,ik->", mapping, of, mapping, optimize=True)),
-        )
-
-    formal = variances(covariance)
+    formal = lengths.variances(covariance)
     for move in sorted(moves, key=lambda m: -abs(m.df_px)):
-        own = variances(move.covariance)
-        now = variances(covariance)
-        sizes = (move.df_px**2, float(np.sum((mapping @ move.lens) ** 2)))
+        own = lengths.variances(move.covariance)
+        now = lengths.variances(covariance)
+        sizes = (move.df_px**2, lengths.squares(move.lens)[1])
         excess = 0.0
         for size, before, other, current in zip(sizes, formal, own, now, strict=True):
             if size > max(current, CHANCE**2 * abs(other - before)):
@@ -247,7 +232,7 @@ def _with_spread(covariance: FloatArray, moves: list[_Move], jacobian: FloatArra
 
 
 def _split(
-    block: Calibrated, jacobian: FloatArray, n_photos: int, excess: float, tick: Callable[[], None] | None
+    block: Calibrated, lengths: Lengths, n_photos: int, excess: float, tick: Callable[[], None] | None
 ) -> tuple[float, float, float]:
     """Odd minus even: f, its sigma, and the rms projection difference over its predicted rms."""
     n_points = len(block.adjusted.state.points_m)
@@ -263,11 +248,9 @@ def _split(
     first, second = results
     move = first.state.lens.vector - second.state.lens.vector
     covariance = (first.covariance + second.covariance) * excess
-    mapping = projection_jacobian(block.adjusted.state.lens)
-    expected = float(np.sum(np.einsum("ij,jk,ik->i", mapping, covariance, mapping)))
-    found = float(np.sum((mapping @ move) ** 2))
+    variance, expected = lengths.variances(covariance)
     return (
-        float(jacobian[0] @ move),
-        float(np.sqrt(jacobian[0] @ covariance @ jacobian[0])),
-        float(np.sqrt(found / max(expected, 1e-300))),
+        float(lengths.f_px @ move),
+        float(np.sqrt(variance)),
+        float(np.sqrt(lengths.squares(move)[1] / max(expected, 1e-300))),
     )
