@@ -2,8 +2,8 @@
 
 Every level of every factor comes as often as its weight says, in every run of cases as long as
 the factor has weighted levels, and independently of the other factors, so that a factor's effect
-can be read off its margin. Case N is the same whatever the length of the campaign. Every fourth
-case is one of the papers' flights under ordinary conditions with a good reference instead.
+can be read off its margin. Case N is the same whatever the length of the campaign. Two of five
+cases are of the papers' flights under ordinary conditions with a good reference instead.
 """
 
 from __future__ import annotations
@@ -13,8 +13,8 @@ from functools import lru_cache
 
 import numpy as np
 
-#: Every PAPERS_EVERY-th case is a flight of [C&D].
-PAPERS_EVERY = 4
+#: Of every ROUND cases the last OF_PAPERS are flights of [C&D]: 100 of each in a campaign of 2000.
+ROUND, OF_PAPERS = 5, 2
 PAPERS = ("A1", "A2", "A3", "A4", "B1", "B2", "B3", "B4")
 
 #: Level -> weight, by factor.
@@ -65,8 +65,8 @@ FACTORS: dict[str, dict[str, int]] = {
 POINTS = {
     "A1": 800,
     "A2": 600,
-    "A3": 900,
-    "A4": 700,
+    "A3": 1200,
+    "A4": 900,
     "nadir, wide lines": 900,
     "cross-hatch 15°": 500,
     "cross-hatch nadir": 500,
@@ -74,7 +74,7 @@ POINTS = {
     "gently oblique 10°": 800,
 }
 #: The papers' flights, where TRUST is asked for, with as many as an alignment of photos has.
-PAPERS_POINTS = {"A1": 800, "A2": 600, "A3": 2500, "A4": 2000}
+PAPERS_POINTS = {"A1": 800, "A2": 600, "A3": 2500, "A4": 1600}
 
 
 @dataclass(frozen=True)
@@ -102,16 +102,17 @@ def case(number: int) -> Case:
     """Case ``number`` (0, 1, ...)."""
     if number < 0:
         raise ValueError(f"cases are numbered from 0, not {number}")
-    if number % PAPERS_EVERY == PAPERS_EVERY - 1:
-        return _of_the_papers(number)
-    index = number - number // PAPERS_EVERY
+    round_, place = divmod(number, ROUND)
+    if place >= ROUND - OF_PAPERS:
+        return _of_the_papers(number, OF_PAPERS * round_ + place - (ROUND - OF_PAPERS))
+    index = (ROUND - OF_PAPERS) * round_ + place
     levels = {factor: _level(factor, index) for factor in FACTORS}
     return Case(number, "design", **levels)
 
 
-def _of_the_papers(number: int) -> Case:
+def _of_the_papers(number: int, index: int) -> Case:
     """[C&D] Table 3: block A with the Phantom 3, B with the Inspire 1, in this order again and again."""
-    name = PAPERS[number // PAPERS_EVERY % len(PAPERS)]
+    name = PAPERS[index % len(PAPERS)]
     return Case(
         number=number,
         part="papers",
