@@ -17,6 +17,8 @@ _SAME_S = 1e-3
 _CLOCK_RANGE_S = 86_400.0
 _MAX_ROUNDS = 4
 _FITS, _NOT_TWICE = float(np.log(20.0)), float(np.log(100.0))
+#: An intervalometer keeps its time so well over a whole flight; no aircraft does.
+_ON_TIME_S = 0.08
 #: So many photos' worth of belief in the loss assumed beforehand.
 _BELIEF = 5.0
 _INDEX_DISAGREES = float(np.log(0.1))
@@ -66,6 +68,9 @@ def pair(
     fits = _cautious(fits, len(photos))
     evidence = np.array([0.0, *(value for value, *_ in fits)])
     weights = np.exp(evidence - np.logaddexp.reduce(evidence))[1:]
+    step_s = _constant_step_s(times.trigger_s) if known is None else None
+    if step_s is not None:
+        weights = weights / 3
     joint: dict[tuple[int, int], float] = {}
     for weight, (_, _, cells, aligned) in zip(weights.tolist(), fits, strict=True):
         for i, j, p in zip(
@@ -81,6 +86,9 @@ def pair(
     used, taken = {p.trigger.key for p in pairs}, {id(p.shot) for p in pairs}
     shift = times.photo_reference_s - times.reference_s
     offsets = np.array([other.offset_s for _, other, *_ in fits])
+    if step_s is not None:
+        offsets = np.concatenate([offsets, offsets[:1] + step_s, offsets[:1] - step_s])
+        weights = np.concatenate([weights, weights[:1], weights[:1]])
     spread2 = float(weights @ (offsets - clock.offset_s) ** 2)
     return Pairing(
         tuple(pairs),
@@ -127,6 +135,23 @@ def update(
         if all((p.trigger.key, p.shot.name) in now for p in previous.sure_pairs):
             return quick
     return pair(all_triggers, all_shots, known=known, anchors=anchors)
+
+
+def _constant_step_s(trigger_s: FloatArray) -> float | None:
+    """The interval of an intervalometer, None where the triggers (n,) do not keep to one.
+
+    Then every clock that is a step earlier or later explains the times as well: which photos and
+    triggers are missing is chance, and by chance holes in both series fall together under one clock
+    more often than under another.
+    """
+    intervals = np.diff(trigger_s)
+    if len(intervals) < 2:
+        return None
+    step = float(np.median(intervals))
+    count = np.concatenate([[0.0], np.cumsum(np.round(intervals / max(step, 1e-3)))])
+    slope, start = np.polyfit(count, trigger_s, 1) if count[-1] > 0 else (0.0, 0.0)
+    off = np.abs(trigger_s - start - slope * count)
+    return float(slope) if float(off.max()) < _ON_TIME_S else None
 
 
 def _times(triggers: Sequence[Trigger], photos: Sequence[Shot]) -> Times:
