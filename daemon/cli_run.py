@@ -8,14 +8,15 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
+from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from calib.align.stream import Solver
-from calib.errors import InputError
+from calib.errors import FieldcalError, InputError
 from calib.files import check_file_writable, check_writable, write_text_atomic
 from calib.output import REPORT_HTML, write_outputs
 from calib.references import load_reference
@@ -29,7 +30,7 @@ from daemon.live.settings import CONFIG_VARIABLE, Settings
 from daemon.live.topics import vehicle_name
 from daemon.output import console, write_stdout
 from daemon.progress import Report, progress_line
-from daemon.session.library import begin, finish, resume
+from daemon.session.library import begin, finish, resume, unfinished
 from daemon.session.store import Session
 from daemon.terminal import print_summary
 
@@ -105,19 +106,19 @@ def run_command(
         check_file_writable(Path(json_to))
     if out is not None:
         check_writable(out)
+    if reference is not None:
+        load_reference(reference)
+    talkative = not quiet and json_to != "-"
+    hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
     with ExitStack() as stack:
-        session = stack.enter_context(resume(session_name) if going_on else begin(label))
+        session = stack.enter_context(resume(session_name)) if going_on else None
         options = _options(session, photos, reference, vehicle, idle, count)
-        if options.reference is not None:
-            load_reference(options.reference)
-        told = [not quiet and json_to != "-"]
-        hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
         line = stack.enter_context(progress_line(hidden, "waiting for photos"))
         bus: Bus | None = None
         flight: Flight | None = None
 
         def tell(message: Message) -> None:
-            _show(message, line, told[0])
+            _show(message, line, talkative)
             if bus is not None:
                 bus.tell(message)
 
@@ -132,19 +133,27 @@ def run_command(
                 token = daemon_token(token_file or default_token_file())
                 commands = Commands(options.vehicle, token, {"finish": conclude_now})
             settings = Settings(tuple(connect or ()), tuple(listen or ()), zenoh_config)
-            bus = stack.enter_context(_bus(options.vehicle, settings, answers_of(session), commands))
+            bus = _bus(options.vehicle, settings, answers_of(lambda: session), commands)
+            if bus is not None:
+                stack.enter_context(bus)
+        # Only now, so that what is refused leaves no empty flight behind.
+        session = session or stack.enter_context(begin(label))
         solver = Solver()
         stack.callback(solver.close)
-        flight = Flight(session, options, solver, tell)
-        if told[0]:
+        if talkative:
             print(f"Flight {session.folder.name}: photos from {printable(str(options.folder))}.")
             print("Ctrl-C: no more photos, give the verdict. Twice: leave; `fieldcal run --resume` goes on.")
+        flight = Flight(session, options, solver, tell)
         with _interrupts(flight.finish):
             while not flight.over:
                 flight.step()
-        result = flight.conclude()
-        exports = write_outputs(result, session.folder)
-        result = replace(result, exports=exports)
+        try:
+            result = flight.conclude()
+        except FieldcalError as error:
+            if bus is not None:
+                bus.tell(Log(vehicle=options.vehicle, at=datetime.now(UTC), level="error", text=str(error)))
+            raise
+        result = replace(result, exports=write_outputs(result, session.folder))
         if out is not None:
             write_outputs(result, out)
         finish(session)
@@ -161,17 +170,25 @@ def run_command(
     return result.verdict.exit_code
 
 
-def _bus(vehicle: str, settings: Settings, answers: Answers, commands: Commands | None) -> Bus:
-    """The bus; zenoh is loaded only for those who want it."""
+def _bus(vehicle: str, settings: Settings, answers: Answers, commands: Commands | None) -> Bus | None:
+    """The bus; zenoh is loaded only for those who want it.
+
+    Where nobody asked for anything, a computer on which it cannot start does without (None).
+    """
+    asked_for = settings != Settings() or commands is not None
     try:
         from daemon.live.bus import Bus
-    except ImportError as error:
-        raise InputError(f"{MISSING}, or run with --no-live.") from error
-    return Bus(vehicle, settings, answers, commands)
+
+        return Bus(vehicle, settings, answers, commands)
+    except (ImportError, InputError) as error:
+        if asked_for:
+            raise InputError(f"{MISSING}." if isinstance(error, ImportError) else str(error)) from error
+        print(f"fieldcal: no live status: {error}", file=sys.stderr)
+        return None
 
 
 def _options(
-    session: Session,
+    session: Session | None,
     photos: Path | None,
     reference: str | None,
     vehicle: str | None,
@@ -179,11 +196,15 @@ def _options(
     count: int | None,
 ) -> Options:
     """What was asked for, and for a flight that goes on what was asked for then."""
-    before = session.events(STARTED)
-    then = dict(before[-1].value.data) if before else {}
+    then: dict[str, Any] = {}
+    if session is not None:
+        if not unfinished(session).resumable:
+            name = session.folder.name
+            raise InputError(f"Flight {name} is finished; `fieldcal sessions show {name}` tells its verdict.")
+        then = next((dict(e.value.data) for e in reversed(session.events(STARTED))), {})
     folder = photos or (Path(then["folder"]) if then.get("folder") else None)
     if folder is None:
-        raise InputError(f"Flight {session.folder.name} has no folder of photos; name it: --photos FOLDER.")
+        raise InputError("This flight has no folder of photos; name it: --photos FOLDER.")
     name = vehicle or then.get("vehicle") or socket.gethostname()
     return Options(vehicle_name(name), folder, reference or then.get("reference"), idle, count)
 

@@ -23,7 +23,7 @@ if TYPE_CHECKING:
     from daemon.live.fleet import Fleet, Vehicle
 
 SCHEMA = "fieldcal.fleet/1"
-_REFRESH_S = 0.5
+_REFRESH_S, _OTHERS_S = 0.5, 0.5
 _STYLES = {"TRUST": "bold green", "REFLY": "bold red", "CANNOT_TELL": "bold yellow"}
 
 
@@ -59,6 +59,8 @@ def status(
     settings = Settings(tuple(connect or ()), tuple(listen or ()), zenoh_config)
     with Fleet(settings, vehicle or "*") as fleet:
         fleet.wait(wait, _complete)
+        if vehicle is None and fleet.vehicles():
+            fleet.wait(_OTHERS_S, lambda _: False)  # Others are learnt of from the first.
         found = fleet.vehicles()
         if finish:
             assert vehicle is not None

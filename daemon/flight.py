@@ -154,8 +154,8 @@ class Flight:
         if finished.outcome is None:
             raise AlignmentError("The alignment ended without a result; run it again.")
         wall_s = time.monotonic() - started
-        # Seconds of the final solution alone; what was done before it came is not counted.
-        timing = Timing(wall_s, wall_s, len(found.used) / max(wall_s, 1e-9))
+        # Of the final solution alone; what was done before is not counted.
+        timing = Timing(wall_s, finished.cpu_s, len(found.used) / max(wall_s, 1e-9))
         result = conclude(finished.outcome, found.left_out, reference, note, timing)
         result = replace(result, what_to_fly=what_to_fly(result))
         self._record(result, seq, final=True)
@@ -233,8 +233,11 @@ class Flight:
         elif isinstance(happening, Restarted):
             self._degraded = ("The alignment process died and was started again.",)
             self._say(self._degraded[0], "warning")
-        elif isinstance(happening, Finished) and isinstance(happening.request, Solve):
-            self._provisional(happening)
+        elif isinstance(happening, Finished):
+            if happening.error is None:
+                self._degraded = ()
+            if isinstance(happening.request, Solve):
+                self._provisional(happening)
 
     def _provisional(self, finished: Finished) -> None:
         if finished.error is not None:
@@ -245,7 +248,6 @@ class Flight:
             return
         if finished.outcome is None:
             return
-        self._degraded = ()
         self._solved_for = self._trying_for
         request = finished.request
         assert isinstance(request, Solve)

@@ -45,6 +45,8 @@ COMMANDS = (
     *(("sim", sub) for sub in ("list", "survey")),
     ("sessions",),
     *(("sessions", sub) for sub in ("list", "show", "export")),
+    ("run",),
+    ("status",),
 )
 #: Options of other programs that the docs mention, and the other side of a switch.
 FOREIGN = {"--cameras", "--counter-clockwise", "--geo", "--strict"}

@@ -19,7 +19,7 @@ from daemon.live.fleet import Fleet, Vehicle
 from daemon.live.network import leave, open_session
 from daemon.live.schemas import Capture, Link, Log, Progress, Status, Verdict
 from daemon.live.settings import Settings
-from daemon.live.topics import TOPICS, topic_of, vehicle_name
+from daemon.live.topics import QUERIES, TOPICS, topic_of, vehicle_name
 
 T0 = datetime(2026, 5, 31, 10, tzinfo=UTC)
 TOKEN = "a-token-of-good-length"
@@ -291,3 +291,13 @@ def test_names_are_one_chunk_of_a_key() -> None:
         assert str(zenoh.KeyExpr(key)) == key
         assert key.count("/") == 2
         assert "*" not in key
+
+
+def test_the_docs_have_the_table() -> None:
+    page = (Path(__file__).parent.parent / "docs" / "live.md").read_text(encoding="utf-8")
+    for topic in TOPICS.values():
+        stale = "-" if topic.stale_s is None else f"{topic.stale_s:g} s"
+        key = topic.key("<vehicle>")
+        assert f"| `{key}` | `{topic.schema_name}` | {topic.every_s:g} s | {stale} |" in page
+    for name in (*QUERIES, "alive", "command"):
+        assert f"| `fieldcal/<vehicle>/{name}` |" in page

@@ -63,12 +63,14 @@ class Progressed:
 class Finished:
     """A request is done. ``outcome``: of a :class:`Solve` that was not called off.
 
-    ``error``: why it failed, which the next request need not.
+    ``error``: why it failed, which the next request need not. ``cpu_s``: what it cost the child that
+    finished it.
     """
 
     request: Request
     outcome: Outcome | None = None
     error: Exception | None = None
+    cpu_s: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -154,14 +156,15 @@ def _child(settings: Settings, memory_limit_bytes: int | None, pipe: Connection)
             if request is None:  # Called off when it was done already.
                 continue
             may_stop = isinstance(request, Solve) and not request.final
+            before_s, outcome = time.process_time(), None
             try:
                 if isinstance(request, Read):
                     stream.read(request.photos)
-                    answer: tuple[str, object] = ("done", None)
                 else:
-                    answer = ("done", stream.solve(request))
+                    outcome = stream.solve(request)
+                answer: tuple[str, object] = ("done", (outcome, time.process_time() - before_s))
             except _CalledOff:
-                answer = ("done", None)
+                answer = ("done", (None, time.process_time() - before_s))
             except (BrokenPipeError, EOFError):
                 raise
             except Exception as error:  # noqa: BLE001 the top of the process: told, not retried
@@ -238,7 +241,7 @@ class Solver:
         if kind == "memory":
             return self._died()
         if kind == "done":
-            return self._finish(content, None)
+            return self._finish(content[0], None, content[1])
         if kind == "defect":
             return self._finish(None, RuntimeError("{} in the alignment process:\n{}".format(*content)))
         return self._finish(None, content[0](content[1]))
@@ -248,9 +251,9 @@ class Solver:
         self._drop()
         self._request = None
 
-    def _finish(self, outcome: Outcome | None, error: Exception | None) -> Finished:
+    def _finish(self, outcome: Outcome | None, error: Exception | None, cpu_s: float = 0.0) -> Finished:
         assert self._request is not None
-        finished = Finished(self._request, outcome, error)
+        finished = Finished(self._request, outcome, error, cpu_s)
         self._request = None
         return finished
 

@@ -16,27 +16,33 @@ Answers = Mapping[str, Callable[[Mapping[str, str]], Answer]]
 _JSON = "application/json"
 
 
-def answers_of(session: SessionReader) -> Answers:
-    """Answers out of a flight's record, always of the newest."""
+def answers_of(flight_now: Callable[[], SessionReader | None]) -> Answers:
+    """Answers out of the record of the flight that is under way, always of the newest."""
+
+    def record() -> SessionReader:
+        found = flight_now()
+        if found is None:
+            raise ValueError("There is no flight yet.")
+        return found
 
     def flight(asked: Mapping[str, str]) -> Answer:
         del asked
-        return _json(session_json(session)), f"{_JSON};fieldcal.session/1"
+        return _json(session_json(record())), f"{_JSON};fieldcal.session/1"
 
     def report(asked: Mapping[str, str]) -> Answer:
         if asked.get("format") == "html":
             try:
-                return (session.folder / REPORT_HTML).read_bytes(), "text/html"
+                return (record().folder / REPORT_HTML).read_bytes(), "text/html"
             except OSError:
                 raise ValueError("There is no page yet; it is made with the final verdict.") from None
-        verdict = session.latest_verdict()
+        verdict = record().latest_verdict()
         if verdict is None:
             raise ValueError("There is no verdict yet.")
         return _json(dict(verdict.value.report)), f"{_JSON};fieldcal.check/1"
 
     def plan(asked: Mapping[str, str]) -> Answer:
         del asked
-        plans = session.plans()
+        plans = record().plans()
         if not plans:
             raise ValueError("This flight has no plan.")
         return plans[-1].value.content, "application/octet-stream"
