@@ -49,7 +49,7 @@ COMMANDS = (
     ("status",),
 )
 #: Options of other programs that the docs mention, and the other side of a switch.
-FOREIGN = {"--cameras", "--counter-clockwise", "--geo", "--strict"}
+FOREIGN = {"--cameras", "--counter-clockwise", "--geo", "--no-live", "--strict"}
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 _FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -144,6 +144,8 @@ def test_no_option_is_invented(name: str, options: dict[tuple[str, ...], set[str
         ("docs/cameras.md", [("cameras", "import"), ("cameras", "export")]),
         ("docs/simulator.md", [("sim", "survey")]),
         ("docs/sessions.md", [("sessions", "export")]),
+        ("docs/run.md", [("run",)]),
+        ("docs/live.md", [("status",)]),
     ],
 )
 def test_no_option_is_left_out(
