@@ -29,6 +29,10 @@ from benchmarks.verdict_tables import WORST, median, table
 from calib.limits import FOCAL_SIGMA_PERCENT
 
 
+def _open_at_best(scores: Sequence[Score]) -> str:
+    return f"{open_at_best(scores):.1f}"
+
+
 def headline(design: Sequence[Score], papers: Sequence[Score]) -> list[str]:
     """The rates that count, with their targets."""
     rows = [
