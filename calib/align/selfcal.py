@@ -2,7 +2,7 @@
 
 1. f, principal point, K1, K2; blunders out.
 2. K3, decentring and affinity; blunders out by the noise found.
-3. K3 and decentring stay where they are significant ([SEN] staged release).
+3. Decentring stays where it is significant ([SEN] staged release); K3 always does.
 4. The residual field joins, with a weak prior (docs/method.md says why). Where the residuals are
    correlated within photos, the images weigh less against the priors from here on.
 5. Precise positions (RTK) keep their weight only where the lens is the same without it.
@@ -266,13 +266,14 @@ def _kept(
 
 
 def _significant(result: Adjusted) -> set[str]:
-    """Names of the parameters to keep: K3 and decentring only where they differ from zero."""
+    """Names of the parameters to keep: decentring only where it differs from zero.
+
+    K3 stays: without it K2 comes out with a sigma that holds for K3 = 0 only.
+    """
     vector = result.state.lens.vector
     covariance = result.covariance
     index = {name: i for i, name in enumerate(LENS_NAMES)}
-    kept = set(BASIC) | {"b1", "b2"}
-    if abs(vector[index["k3"]]) > SIGNIFICANT * np.sqrt(covariance[index["k3"], index["k3"]]):
-        kept.add("k3")
+    kept = set(BASIC) | {"k3", "b1", "b2"}
     pair = [index["p1"], index["p2"]]
     size = vector[pair] @ np.linalg.solve(covariance[np.ix_(pair, pair)], vector[pair])
     if size > SIGNIFICANT**2 + 2.5:  # chi-square of two degrees of freedom at 99 %: 9.2
