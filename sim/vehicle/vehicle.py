@@ -75,7 +75,8 @@ class Vehicle:
                 for one in STREAM_GROUPS.get(group, ()):
                     self.telemetry.want(one, float(message.req_message_rate * message.start_stop))
         elif name == "TIMESYNC" and message.tc1 == 0:
-            self._out.append(mavlink.MAVLink_timesync_message(round(self.boot_s * 1e9), message.ts1))
+            now_s = self.boot_s + self._behind_s
+            self._out.append(mavlink.MAVLink_timesync_message(round(now_s * 1e9), message.ts1))
         elif name == "MISSION_SET_CURRENT":
             self.pilot.jump(message.seq, False)
         else:
