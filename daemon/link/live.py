@@ -177,15 +177,23 @@ class Link:
             time.sleep(0.02)
         return True
 
-    def run(self, exchange: Exchange) -> None:
-        """Carry out an exchange with the vehicle; returns when it is over. One at a time: others wait."""
+    def run(self, exchange: Exchange, look: Callable[[], None] | None = None) -> None:
+        """Carry out an exchange with the vehicle; returns when it is over. One at a time: others wait.
+
+        ``look`` is called now and then meanwhile. Interrupted, the exchange ends where it is.
+        """
         with self._exchange_lock:
             self._exchange_over.clear()
             self._asked.put(exchange)
             self._wake()
-            while not self._exchange_over.wait(0.5):
-                if not self._thread.is_alive():
-                    return
+            try:
+                while not self._exchange_over.wait(LOOK_S) and self._thread.is_alive():
+                    if look is not None:
+                        look()
+            except BaseException:
+                exchange.over = True
+                self._exchange_over.wait(1.0)
+                raise
 
     def close(self) -> None:
         """End the thread and close the line. Again does no harm."""
@@ -325,7 +333,8 @@ class Link:
                 self._say(wire.ask_stream(vehicle, *stream))
         if self._exchange is None and not self._asked.empty():
             self._exchange = self._asked.get()
-            self._say(*self._exchange.start(now))
+            if not self._exchange.over:
+                self._say(*self._exchange.start(now))
         if self._exchange is not None:
             self._say(*self._exchange.tick(now))
             self._look_if_over()
