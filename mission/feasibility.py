@@ -9,6 +9,7 @@ from __future__ import annotations
 import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 import shapely
@@ -78,15 +79,15 @@ def _autopilot(plan: ReadPlan, flavour: Flavour) -> Finding:
     message = f"The mission is written for {NAMES[flavour]}, which the vehicle flies."
     if not ok and plan.flavour is not None:
         message = (
-            f"The mission is written for {NAMES[plan.flavour]}, and the vehicle flies {NAMES[flavour]}: plan it "
-            f"again with --autopilot {flavour}."
+            f"The mission is written for {NAMES[plan.flavour]}, and the vehicle flies {NAMES[flavour]}: "
+            f"plan it again with --autopilot {flavour}."
         )
     return Finding("autopilot", True, ok, None, None, "", message)
 
 
 def _items(plan: ReadPlan, flavour: Flavour) -> Finding:
     count, most = len(plan.items), MOST_ITEMS[flavour]
-    ok = 0 < count and (most is None or count <= most)
+    ok = count > 0 and (most is None or count <= most)
     message = f"The mission has {count} items"
     if count == 0:
         message += ": there is nothing to fly."
@@ -124,7 +125,9 @@ def _places(plan: ReadPlan, flavour: Flavour) -> Finding:
     ]
     message = "Every waypoint has a place and a height."
     if bad:
-        message = f"Item{_list(bad)} is a waypoint without a place or height; the vehicle would stay where it is."
+        message = (
+            f"Item{_list(bad)} is a waypoint without a place or height; the vehicle would stay where it is."
+        )
     return Finding("places", True, not bad, float(len(bad)), 0.0, "items", message)
 
 
@@ -192,14 +195,16 @@ def _fence(plan: ReadPlan) -> Finding:
         return Finding("fence", True, True, None, None, "m", message)
     area = make_space(plan.fence, (), plan.launch, 0.0, 0.0).fence_area
     corners = np.vstack([np.zeros((1, 2)), _path_m(plan)[:, :2], np.zeros((1, 2))])
-    legs = shapely.linestrings(np.stack([corners[:-1], corners[1:]], axis=1))  # type: ignore[call-overload]
-    outside = ~shapely.covers(area, legs)
+    legs: Any = shapely.linestrings(np.stack([corners[:-1], corners[1:]], axis=1))
+    outside = np.atleast_1d(~shapely.covers(area, legs))
     if not outside.any():
         margin = float(shapely.distance(shapely.boundary(area), legs).min())
         message = f"The whole path stays inside the file's fence, at least {_metres(margin)} from it."
         return Finding("fence", True, True, margin, 0.0, "m", message)
     worst = float(shapely.distance(area, shapely.points(corners)).max())
-    message = f"{int(outside.sum())} of {len(outside)} legs leave the file's fence, by up to {_metres(worst)}."
+    message = (
+        f"{int(outside.sum())} of {len(outside)} legs leave the file's fence, by up to {_metres(worst)}."
+    )
     return Finding("fence", True, False, -worst, 0.0, "m", message)
 
 
@@ -213,7 +218,9 @@ def _commands(plan: ReadPlan) -> Finding:
     strange = sorted({item.command for item in plan.items} - _USUAL)
     message = "All commands are those of a photo mission."
     if strange:
-        message = f"The mission holds commands that a photo mission does not need: {', '.join(map(str, strange))}."
+        message = (
+            f"The mission holds commands that a photo mission does not need: {', '.join(map(str, strange))}."
+        )
     return Finding("commands", False, not strange, float(len(strange)), 0.0, "commands", message)
 
 
@@ -238,9 +245,7 @@ def _absolute(item: Item) -> bool:
 
 
 def _distance_m(one: Place, other: Place) -> float:
-    return float(
-        _WGS84.inv(one.longitude_deg, one.latitude_deg, other.longitude_deg, other.latitude_deg)[2]
-    )
+    return float(_WGS84.inv(one.longitude_deg, one.latitude_deg, other.longitude_deg, other.latitude_deg)[2])
 
 
 def _metres(value: float) -> str:

@@ -224,7 +224,7 @@ class Link:
                 self._step()
             except (OSError, InputError) as error:
                 self._cut(error)
-            except Exception as error:  # the top of a supervised loop: said, and the line opened anew
+            except Exception as error:  # noqa: BLE001 top of a supervised loop: said, and the line opened anew
                 _log.exception("The link stumbled.")
                 self._cut(error)
         self._end()
@@ -272,7 +272,11 @@ class Link:
             if self._forward is not None:
                 self._forward.send(frame.raw)
             exchange = self._exchange
-            if exchange is not None and frame.message is not None and frame.system_id == self._state.system_id:
+            if (
+                exchange is not None
+                and frame.message is not None
+                and frame.system_id == self._state.system_id
+            ):
                 self._say(*exchange.receive(frame.message, self._clock()))
                 self._look_if_over()
 
@@ -350,7 +354,9 @@ class Link:
             self._line.close()
             self._line = None
         reason = (getattr(error, "strerror", None) or str(error)).rstrip(".").lower()
-        self._health = replace(self._health, open=False, fault=f"the line to {self.address} is cut ({reason}).")
+        self._health = replace(
+            self._health, open=False, fault=f"the line to {self.address} is cut ({reason})."
+        )
         self._reopen_due = self._clock() + self._reopen_wait_s
 
     def _reopen(self) -> None:

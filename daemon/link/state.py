@@ -106,9 +106,9 @@ class LinkState:
         quality = self.quality.hear(frame.component_id, frame.sequence, at_s).beat(at_s)
         counts = {**self.counts, "HEARTBEAT": self.counts.get("HEARTBEAT", 0) + 1}
         latest = {**self.latest, ev.Heartbeat: event}
-        return replace(
-            self, system_id=frame.system_id, quality=quality, latest=latest, counts=counts
-        ), (event,)
+        return replace(self, system_id=frame.system_id, quality=quality, latest=latest, counts=counts), (
+            event,
+        )
 
     def _with(self, event: ev.Event, frame: Frame, at_s: float) -> tuple[LinkState, tuple[ev.Event, ...]]:
         state, before = self, tuple[ev.Event, ...]()

@@ -89,7 +89,9 @@ def read_log(path: Path) -> Iterator[tuple[int, Frame]]:
             found = True
             yield at_us, frame
     if not found:
-        raise FormatError(f"{path} holds no MAVLink messages: it is no telemetry log (.tlog), or an empty one.")
+        raise FormatError(
+            f"{path} holds no MAVLink messages: it is no telemetry log (.tlog), or an empty one."
+        )
 
 
 def _records(data: bytes) -> Iterator[tuple[int, bytes]]:

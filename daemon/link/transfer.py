@@ -14,7 +14,7 @@ from enum import IntEnum
 from typing import Protocol
 
 from daemon.link.message import Message
-from daemon.link.wire import COMPONENT_ID, SYSTEM_ID, Outgoing, mavlink, read_parameter
+from daemon.link.wire import COMPONENT_ID, SYSTEM_ID, Outgoing, ask_message, mavlink, read_parameter
 from mission.encode import Item
 
 _AUTOPILOT = 1
@@ -37,7 +37,8 @@ class Kind(IntEnum):
 
 @dataclass(frozen=True)
 class Patience:
-    """``repeat_s``: what is not answered is said again. ``silence_s``: then it is given up."""
+    """``repeat_s``: what is not answered is said again. ``silence_s``: then it is given up; longer than the
+    autopilots take to give an upload up themselves (8 s, 5 s), so that they answer again afterwards."""
 
     repeat_s: float = 1.5
     silence_s: float = 12.0
@@ -260,6 +261,39 @@ class ReadParameters:
     def _ask(self, now_s: float) -> list[Outgoing]:
         self._said_s = now_s
         return [read_parameter(self.system_id, name) for name in self.names if name not in self.found]
+
+
+@dataclass
+class AskMessage:
+    """One message that the autopilot sends only when asked. ``came``: it did."""
+
+    system_id: int
+    name: str
+    patience: Patience = field(default_factory=lambda: Patience(0.7, 3.0))
+    over: bool = False
+    came: bool = False
+    _began_s: float = 0.0
+    _said_s: float = 0.0
+
+    def start(self, now_s: float) -> list[Outgoing]:
+        self._began_s = now_s
+        return self._ask(now_s)
+
+    def receive(self, message: Message, now_s: float) -> list[Outgoing]:
+        del now_s
+        if message.name == self.name:
+            self.over = self.came = True
+        return []
+
+    def tick(self, now_s: float) -> list[Outgoing]:
+        if now_s - self._began_s > self.patience.silence_s:
+            self.over = True
+        again = not self.over and now_s - self._said_s > self.patience.repeat_s
+        return self._ask(now_s) if again else []
+
+    def _ask(self, now_s: float) -> list[Outgoing]:
+        self._said_s = now_s
+        return [ask_message(self.system_id, self.name)]
 
 
 def item_message(to: tuple[int, int], number: int, item: Item, kind: Kind) -> Outgoing:

@@ -81,7 +81,7 @@ class Udp:
         except OSError as error:
             if error.errno == errno.EADDRINUSE:
                 raise InputError(
-                    f"Port {address.number} is taken by another program, a ground station perhaps: end it, or "
+                    f"Port {address.number} is taken by another program (a ground station?): end it, or "
                     "let it forward to another port."
                 ) from error
             if error.errno == errno.EADDRNOTAVAIL:
@@ -90,7 +90,9 @@ class Udp:
                     f"udpout://{address.place}:{address.number}."
                 ) from error
             if error.errno == errno.EACCES:
-                raise InputError(f"You may not listen on port {address.number}: use one above 1023.") from error
+                raise InputError(
+                    f"You may not listen on port {address.number}: use one above 1023."
+                ) from error
             raise
 
     def fileno(self) -> int:

@@ -136,7 +136,9 @@ def upload(
             Outcome.UPLOADED, f"The vehicle holds the mission: {what}, read back and compared.", kept
         )
     result = task.restore(before)
-    return replace(result, message=f"{problem.sentence} {result.message}", kept=kept, differences=problem.details)
+    return replace(
+        result, message=f"{problem.sentence} {result.message}", kept=kept, differences=problem.details
+    )
 
 
 def read_held(link: Link, terms: Terms | None = None, progress: Progress = _quiet) -> Held:
@@ -173,7 +175,9 @@ class _Transaction:
     def check(self) -> None:
         flavour = flavour_of(self.link.state)
         if flavour != self.mission.flavour:
-            raise NotAllowedError(f"The mission is written for {self.mission.flavour}, the vehicle is {flavour}.")
+            raise NotAllowedError(
+                f"The mission is written for {self.mission.flavour}, the vehicle is {flavour}."
+            )
         reason = why_not(self.link.state, self.link.now_s(), self.terms.holding)
         if reason is not None:
             raise NotAllowedError(f"{reason} Nothing was uploaded.")
@@ -204,8 +208,8 @@ class _Transaction:
                 return _Problem(f"The link was cut before the {_noun(kind)} was across.", differences)
             if differences:
                 return _Problem(
-                    f"The vehicle accepted the {_noun(kind)} and then held another one; perhaps another ground "
-                    "station wrote to it.",
+                    f"The vehicle accepted the {_noun(kind)} and then held another one; perhaps another "
+                    "ground station wrote to it.",
                     differences,
                 )
         return None

@@ -123,5 +123,7 @@ def _plain(item: Item) -> dict[str, object]:
 
 
 def _item(keys: _ItemKeys) -> Item:
-    values = {key: math.nan if value is None else value for key, value in keys.model_dump().items()}
-    return Item(**values)
+    one, two, three, four = (
+        math.nan if value is None else value for value in (keys.param1, keys.param2, keys.param3, keys.param4)
+    )
+    return Item(keys.command, keys.frame, one, two, three, four, keys.x, keys.y, keys.z, keys.autocontinue)

@@ -94,6 +94,11 @@ def ask_stream(system_id: int, message_name: str, rate_hz: float) -> Outgoing:
     )
 
 
+def ask_message(system_id: int, message_name: str) -> Outgoing:
+    """MAV_CMD_REQUEST_MESSAGE to the autopilot."""
+    return command(system_id, mavlink.MAV_CMD_REQUEST_MESSAGE, number_of(message_name))
+
+
 def command(system_id: int, number: int, *params: float) -> Outgoing:
     seven = [*params, *[0.0] * (7 - len(params))]
     return mavlink.MAVLink_command_long_message(system_id, 1, number, 0, *seven)
@@ -108,6 +113,4 @@ def number_of(message_name: str) -> int:
     return _NUMBERS[message_name]
 
 
-_NUMBERS: dict[str, int] = {
-    str(kind.msgname): int(number) for number, kind in mavlink.mavlink_map.items()
-}
+_NUMBERS: dict[str, int] = {str(kind.msgname): int(number) for number, kind in mavlink.mavlink_map.items()}

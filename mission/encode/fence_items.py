@@ -15,7 +15,7 @@ KEEP_IN, KEEP_OUT, CIRCLE_IN, CIRCLE_OUT = 5001, 5002, 5003, 5004
 
 
 def fence_items(fence: Fence) -> tuple[Item, ...]:
-    """Polygon by polygon a corner each (param 1: how many the polygon has), then the circles (radius in m)."""
+    """Polygon by polygon a corner each (param 1: how many it has), then circles (param 1: radius in m)."""
     found = []
     for command, polygons in ((KEEP_IN, fence.keep_in), (KEEP_OUT, fence.keep_out)):
         for polygon in polygons:

@@ -7,7 +7,6 @@ import random
 from dataclasses import dataclass, field
 from enum import StrEnum
 
-
 _TRANSFER = frozenset({39, 40, 43, 44, 45, 47, 51, 73})
 
 

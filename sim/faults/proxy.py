@@ -60,7 +60,7 @@ class Proxy:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            select.select([self._vehicle, self.end], [], [], LOOK_S)
+            select.select([self._vehicle.fileno(), self.end.fileno()], [], [], LOOK_S)
             now = time.monotonic()
             self._from_vehicle(now)
             for data in self.end.read():

@@ -1,7 +1,8 @@
 """The vehicle's side of MAVLink's mission protocol, as each autopilot does it.
 
-ArduPilot: asks with MISSION_REQUEST; stores each item as it comes, so that a refused or stalled upload
-leaves the good items, followed by the tail of the old mission; an item out of order is answered with INVALID_SEQUENCE and the upload goes on;
+ArduPilot: asks with MISSION_REQUEST; stores each item as it comes, so that a refused or stalled
+upload leaves the good items, followed by the tail of the old mission; an item out of order is
+answered with INVALID_SEQUENCE and the upload goes on;
 requests repeat each second, after 8 s it gives up with OPERATION_CANCELLED; a second uploader is
 DENIED. PX4: asks with MISSION_REQUEST_INT, keeps the old mission unless all went well, and gives
 up without a word.
