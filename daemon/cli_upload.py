@@ -124,8 +124,8 @@ def _show(out: Console, link: Link, loaded: Loaded, force: bool) -> None:
 
     name = _name(link)
     out.print(f"{name[0].upper()}{name[1:]} on {link.address}: {_doing(link)}.")
-    count = len(loaded.mission.items)
-    fence = "" if loaded.mission.fence is None else f", a fence of {len(loaded.mission.fence)} points"
+    count = loaded.mission.count
+    fence = "" if loaded.mission.fence is None else " and a fence"
     out.print(f"{printable(loaded.mission.name)}: {count} items, {len(loaded.plan.stations)} photos{fence}.")
     findings = check_file(loaded.plan, flavour_of(link.state), _place(link))
     rows = table("", "", "")

@@ -50,6 +50,11 @@ class Mission:
     items: tuple[Item, ...]
     fence: tuple[Item, ...] | None = None
 
+    @property
+    def count(self) -> int:
+        """Items without ArduPilot's home."""
+        return len(self.items) - (self.flavour == "ardupilot")
+
 
 @dataclass(frozen=True)
 class Result:
@@ -131,7 +136,7 @@ def upload(
         task.restore(before)
         raise
     if problem is None:
-        what = f"{len(mission.items)} items" + (" and the fence" if mission.fence is not None else "")
+        what = f"{mission.count} items" + (" and the fence" if mission.fence is not None else "")
         return Result(
             Outcome.UPLOADED, f"The vehicle holds the mission: {what}, read back and compared.", kept
         )
