@@ -18,6 +18,7 @@ from daemon.session.library import sessions_folder
 from mission.rule import Finding
 
 if TYPE_CHECKING:
+    from daemon.link.forward import Forward
     from daemon.link.live import Link
     from daemon.link.upload import Result
     from daemon.mission_file import Loaded
@@ -46,6 +47,9 @@ def upload(
     backup: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where the vehicle's old mission is kept.")
     ] = None,
+    forward: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="Pass the link on to a ground station (UDP).")
+    ] = None,
     record: Annotated[
         Path | None, typer.Option(metavar="FILE.tlog", help="Record everything on the link.")
     ] = None,
@@ -70,7 +74,7 @@ def upload(
     hidden = sys.stderr is None or not sys.stderr.isatty()
     with ExitStack() as stack:
         log = None if record is None else stack.enter_context(LogWriter(record))
-        link = stack.enter_context(Link(address, log=log))
+        link = stack.enter_context(Link(address, log=log, forward=forward_to(forward)))
         with progress_line(hidden, "waiting for the vehicle"):
             link.wait_for_vehicle(wait)
             link.wait(lambda: _place(link) is not None, 3.0)
@@ -88,6 +92,24 @@ def upload(
     out.print(result.message)
     if result.kept is not None:
         out.print(f"The old mission is kept in {path_text(result.kept)}", soft_wrap=True)
+
+
+def forward_to(text: str | None) -> Forward | None:
+    """A ground station at HOST:PORT.
+
+    Raises:
+        InputError: not such an address, or no such host.
+    """
+    from daemon.link.address import parse
+    from daemon.link.forward import Forward
+
+    if text is None:
+        return None
+    address = parse(text if "://" in text else f"udpout://{text}")
+    try:
+        return Forward(address.place, address.number)
+    except OSError as error:
+        raise InputError(f"--forward {text}: {(error.strerror or str(error)).lower()}.") from error
 
 
 def backup_folder() -> Path:

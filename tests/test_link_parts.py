@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from itertools import pairwise
 from pathlib import Path
 
 import pytest
@@ -24,7 +25,8 @@ from daemon.link.replay import Replay
 from daemon.link.state import LinkState
 from daemon.link.streams import WANTED, Streams
 from daemon.link.tlog import LogWriter, read_log
-from daemon.link.transfer import Download, Exchange, Kind as Part, Patience, Upload
+from daemon.link.transfer import Download, Exchange, Patience, Upload
+from daemon.link.transfer import Kind as Part
 from daemon.link.wire import Packer, Splitter, mavlink
 from mission import encode
 from mission.encode import Flavour
@@ -121,7 +123,7 @@ def test_streams_are_asked_for_until_they_come_and_after_a_restart() -> None:
     late = [name for at, name in asked if at >= 60]
     assert set(late) == set(WANTED[Autopilot.ARDUPILOT])
     assert streams.missing(counts) == ("EKF_STATUS_REPORT",)
-    gaps = [b[0] - a[0] for a, b in zip(asked[:-1], asked[1:], strict=True)]
+    gaps = [b[0] - a[0] for a, b in pairwise(asked)]
     assert min(gaps) >= 0.05 - 1e-9
 
 
@@ -207,7 +209,9 @@ def test_replays_are_equal_and_fast(tmp_path: Path) -> None:
 
 @given(st.integers(0, 2**32), st.integers(1, 40))
 @settings(max_examples=25, deadline=None)
-def test_a_damaged_log_gives_what_is_whole(tmp_path_factory: pytest.TempPathFactory, seed: int, cut: int) -> None:
+def test_a_damaged_log_gives_what_is_whole(
+    tmp_path_factory: pytest.TempPathFactory, seed: int, cut: int
+) -> None:
     path = tmp_path_factory.mktemp("log") / "flight.tlog"
     count = _log(path, seconds=5)
     data = bytearray(path.read_bytes())
@@ -255,7 +259,9 @@ def test_a_restart_begins_the_clocks_anew() -> None:
 
     hear(mavlink.MAVLink_heartbeat_message(2, 3, 1, 0, 3, 3), 1000.0)
     for boot_s in (100, 101, 99, 102, 3, 4):
-        hear(mavlink.MAVLink_system_time_message(1_780_000_000_000_000 + boot_s * 10**6, boot_s * 1000), 1000.0)
+        hear(
+            mavlink.MAVLink_system_time_message(1_780_000_000_000_000 + boot_s * 10**6, boot_s * 1000), 1000.0
+        )
     assert state.boots == 2
     assert [e for e in events if isinstance(e, ev.VehicleRestarted)] == [ev.VehicleRestarted(2)]
     assert state.time_base.boot_of_utc(1_780_000_004.0) == pytest.approx(4.0)
