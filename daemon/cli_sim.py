@@ -81,7 +81,7 @@ def list_recipes() -> None:
 @app.command("vehicle")
 def vehicle(
     autopilot: Annotated[
-        Literal["ardupilot", "px4"], typer.Option(help="Whose behaviour it has.")
+        Literal["ardupilot", "px4"], typer.Option(help="Whose behaviour it shows.")
     ] = "ardupilot",
     to: Annotated[
         str, typer.Option(metavar="HOST:PORT", help="Where it sends its messages (UDP).")
@@ -89,14 +89,18 @@ def vehicle(
     home: Annotated[
         str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Where it stands, degrees and m.")
     ] = None,
-    speed_up: Annotated[float, typer.Option(min=0.1, max=100, help="Times real time.")] = 1.0,
+    speed_up: Annotated[float, typer.Option(min=0.1, max=100, metavar="N", help="Times real time.")] = 1.0,
     seed: Annotated[int, typer.Option(min=0, max=_LARGEST_SEED, help="Of its faults.")] = 0,
-    drop: Annotated[float, typer.Option(min=0, max=1, help="Share of messages lost.")] = 0.0,
-    repeat: Annotated[float, typer.Option(min=0, max=1, help="Share of messages sent twice.")] = 0.0,
+    drop: Annotated[float, typer.Option(min=0, max=1, metavar="SHARE", help="Share of messages lost.")] = 0.0,
+    repeat: Annotated[
+        float, typer.Option(min=0, max=1, metavar="SHARE", help="Share of messages sent twice.")
+    ] = 0.0,
     delay: Annotated[
         float, typer.Option(min=0, max=60, metavar="S", help="Every message is late by this.")
     ] = 0.0,
-    miss_photos: Annotated[float, typer.Option(min=0, max=1, help="Share of triggers without photo.")] = 0.0,
+    miss_photos: Annotated[
+        float, typer.Option(min=0, max=1, metavar="SHARE", help="Share of triggers without photo.")
+    ] = 0.0,
     camera_component: Annotated[
         bool, typer.Option("--camera-component", help="A camera that confirms photos.")
     ] = False,

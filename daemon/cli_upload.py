@@ -40,9 +40,9 @@ def upload(
     holding: Annotated[
         bool, typer.Option("--holding", help="Also to a vehicle that holds in the air (for an extra pass).")
     ] = False,
-    fence: Annotated[
-        bool, typer.Option("--fence/--no-fence", help="Upload the file's fence, where it has one.")
-    ] = True,
+    no_fence: Annotated[
+        bool, typer.Option("--no-fence", help="Leave the vehicle's fence, though the file has one.")
+    ] = False,
     force: Annotated[bool, typer.Option("--force", help="Upload a mission that breaks a hard rule.")] = False,
     backup: Annotated[
         Path | None, typer.Option(metavar="DIR", help="Where the vehicle's old mission is kept.")
@@ -78,7 +78,7 @@ def upload(
         with progress_line(hidden, "waiting for the vehicle"):
             link.wait_for_vehicle(wait)
             link.wait(lambda: _place(link) is not None, 3.0)
-        loaded = load(mission, flavour_of(link.state), fence)
+        loaded = load(mission, flavour_of(link.state), not no_fence)
         _show(out, link, loaded, force)
         result = _transact(link, loaded, yes, holding, backup or backup_folder(), hidden)
     if result.outcome is not Outcome.UPLOADED:
