@@ -39,11 +39,13 @@ def _app() -> typer.Typer:
     # is answered with one line from the start.
     from daemon.cli_cameras import app as cameras_app
     from daemon.cli_check import check
+    from daemon.cli_doctor import doctor
     from daemon.cli_equifinal import equifinal
     from daemon.cli_perturb import perturb_command
     from daemon.cli_plan import plan
     from daemon.cli_sessions import app as sessions_app
     from daemon.cli_sim import app as sim_app
+    from daemon.cli_upload import upload
 
     app = typer.Typer(
         name="fieldcal",
@@ -60,6 +62,8 @@ def _app() -> typer.Typer:
     app.add_typer(sessions_app, name="sessions")
     app.command("perturb")(perturb_command)
     app.command("plan")(plan)
+    app.command("upload")(upload)
+    app.command("doctor")(doctor)
     return app
 
 

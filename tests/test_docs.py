@@ -42,7 +42,9 @@ COMMANDS = (
     ("cameras",),
     *(("cameras", sub) for sub in ("list", "show", "compare", "import", "export")),
     ("sim",),
-    *(("sim", sub) for sub in ("list", "survey")),
+    *(("sim", sub) for sub in ("list", "survey", "vehicle")),
+    ("upload",),
+    ("doctor",),
     ("sessions",),
     *(("sessions", sub) for sub in ("list", "show", "export")),
 )
@@ -140,7 +142,8 @@ def test_no_option_is_invented(name: str, options: dict[tuple[str, ...], set[str
         ("docs/perturb.md", [("perturb",)]),
         ("docs/planning.md", [("plan",)]),
         ("docs/cameras.md", [("cameras", "import"), ("cameras", "export")]),
-        ("docs/simulator.md", [("sim", "survey")]),
+        ("docs/simulator.md", [("sim", "survey"), ("sim", "vehicle")]),
+        ("docs/upload.md", [("upload",), ("doctor",)]),
         ("docs/sessions.md", [("sessions", "export")]),
     ],
 )
