@@ -43,9 +43,11 @@ def _app() -> typer.Typer:
     from daemon.cli_equifinal import equifinal
     from daemon.cli_perturb import perturb_command
     from daemon.cli_plan import plan
+    from daemon.cli_run import run_command
     from daemon.cli_sessions import app as sessions_app
     from daemon.cli_sim import app as sim_app
     from daemon.cli_upload import upload
+    from daemon.cli_status import status
 
     app = typer.Typer(
         name="fieldcal",
@@ -64,6 +66,8 @@ def _app() -> typer.Typer:
     app.command("plan")(plan)
     app.command("upload")(upload)
     app.command("doctor")(doctor)
+    app.command("run")(run_command)
+    app.command("status")(status)
     return app
 
 

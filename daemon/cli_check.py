@@ -8,23 +8,21 @@ from datetime import date
 from pathlib import Path
 from typing import Annotated
 
-import numpy as np
 import typer
 
-from calib import frames
 from calib.check import Options, check_photos, read_set
 from calib.files import check_file_writable, output_folder, write_text_atomic
-from calib.findings import State, Verdict
+from calib.findings import State
 from calib.output import write_outputs
 from calib.photos.sort import require_block
 from calib.references import check_saving, load_reference, reference_from_estimate, save_reference
 from calib.report_json import report_json
 from calib.result import CheckResult
 from calib.wording import VERDICT_WORDS, printable
+from daemon.advice import what_to_fly
 from daemon.output import console, write_stdout
 from daemon.progress import progress_line
 from daemon.terminal import print_summary
-from mission.advice import describe_circle
 
 #: A reference must be known four times better than what it is to judge: 1.96 sigma within 0.1 %.
 REFERENCE_SIGMA_PERCENT = 0.05
@@ -76,21 +74,6 @@ def check(
     if save_reference_as is not None:
         print(printable(_save(result, save_reference_as)), file=sys.stderr)
     return result.verdict.exit_code
-
-
-def what_to_fly(result: CheckResult) -> str | None:
-    """Advice for the pilot where flying can cure what was flagged."""
-    if result.verdict is not Verdict.REFLY:
-        return None
-    georeference = result.solution.georeference
-    if not georeference.trusted or georeference.origin_wgs84 is None:
-        advice = describe_circle(None)
-        if georeference.fault is not None:
-            advice += " This is for the calibration only: it cures nothing about the geotags."
-        return advice
-    frame = frames.LocalFrame(*georeference.origin_wgs84)
-    middle = frame.geodetic(np.median(result.solution.points_m, axis=0)[None])[0]
-    return describe_circle(result.dome.flying_height_m, (float(middle[0]), float(middle[1])))
 
 
 def _save(result: CheckResult, name: str) -> str:

@@ -3,17 +3,18 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import Annotated
 
 import typer
 
 from calib.wording import VERDICT_WORDS, printable
 from daemon.output import console, table, write_json
+from daemon.session.as_json import session_json, state_of, summary_json
 from daemon.session.export import export_session
 from daemon.session.library import Summary, find, list_sessions, sessions_folder, summarise
 from daemon.session.reader import SessionReader
 
-LIST_SCHEMA, SHOW_SCHEMA = "fieldcal.sessions/1", "fieldcal.session/1"
+LIST_SCHEMA = "fieldcal.sessions/1"
 
 app = typer.Typer(
     help="List, show and export recorded flights.", invoke_without_command=True, rich_markup_mode=None
@@ -39,7 +40,7 @@ def list_flights(json_to: JsonOption = None) -> None:
     """List all flights, the newest first."""
     summaries, faults = list_sessions()
     if json_to is not None:
-        flights = [_summary_json(summary) for summary in summaries]
+        flights = [summary_json(summary) for summary in summaries]
         write_json({"schema": LIST_SCHEMA, "flights": flights, "faults": list(faults)}, json_to)
         return
     out = console()
@@ -53,7 +54,7 @@ def list_flights(json_to: JsonOption = None) -> None:
             f"{summary.created:%Y-%m-%d}",
             str(summary.counts.photos),
             _verdict_words(summary),
-            _state(summary),
+            state_of(summary),
         )
     out.print(rows)
     for fault in faults:
@@ -65,7 +66,7 @@ def show(name: NameArgument, json_to: JsonOption = None) -> None:
     """Show one flight: what was recorded, its verdict, what is unfinished."""
     with SessionReader.open(find(name)) as session:
         if json_to is not None:
-            write_json(_session_json(session), json_to)
+            write_json(session_json(session), json_to)
             return
         summary = summarise(session)
         verdict, plans, provenance = session.latest_verdict(), session.plans(), session.provenance()
@@ -75,7 +76,7 @@ def show(name: NameArgument, json_to: JsonOption = None) -> None:
     facts.show_header = False
     for label, value in (
         ("date", f"{summary.created:%Y-%m-%d %H:%M:%S} UTC"),
-        ("state", _state(summary)),
+        ("state", state_of(summary)),
         ("plans", ", ".join(printable(plan.value.name) for plan in plans) or "none"),
         ("triggers", str(counts.triggers)),
         ("photos", str(counts.photos)),
@@ -122,58 +123,3 @@ def _verdict_words(summary: Summary) -> str:
     if summary.verdict is None:
         return "-"
     return VERDICT_WORDS[summary.verdict] + ("" if summary.final else " (so far)")
-
-
-def _state(summary: Summary) -> str:
-    if summary.held:
-        return "recording"
-    return "unfinished" if summary.unfinished.resumable else "finished"
-
-
-def _summary_json(summary: Summary) -> dict[str, Any]:
-    counts, rest = summary.counts, summary.unfinished
-    return {
-        "name": printable(summary.name),
-        "created": summary.created.isoformat(),
-        "state": _state(summary),
-        "verdict": None if summary.verdict is None else summary.verdict.value,
-        "final": summary.final,
-        "counts": {
-            "plans": counts.plans,
-            "events": counts.events,
-            "triggers": counts.triggers,
-            "photos": counts.photos,
-            "pairings": counts.pairings,
-            "solutions": counts.solutions,
-            "verdicts": counts.verdicts,
-        },
-        "unfinished": {
-            "ended": rest.ended,
-            "unseen_photos": rest.unseen_photos,
-            "lonely_photos": rest.lonely_photos,
-            "lonely_triggers": rest.lonely_triggers,
-            "behind": rest.behind,
-            "final_verdict": rest.final_verdict,
-        },
-    }
-
-
-def _session_json(session: SessionReader) -> dict[str, Any]:
-    verdict = session.latest_verdict()
-    return {
-        "schema": SHOW_SCHEMA,
-        **_summary_json(summarise(session)),
-        "plans": [
-            {
-                "name": printable(p.value.name),
-                "recorded": p.recorded.isoformat(),
-                "bytes": len(p.value.content),
-            }
-            for p in session.plans()
-        ],
-        "provenance": [
-            {"recorded": p.recorded.isoformat(), "versions": dict(p.value.versions)}
-            for p in session.provenance()
-        ],
-        "report": None if verdict is None else dict(verdict.value.report),
-    }

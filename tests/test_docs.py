@@ -47,6 +47,8 @@ COMMANDS = (
     ("doctor",),
     ("sessions",),
     *(("sessions", sub) for sub in ("list", "show", "export")),
+    ("run",),
+    ("status",),
 )
 #: Options of other programs that the docs mention, and the other side of a switch.
 FOREIGN = {"--cameras", "--counter-clockwise", "--geo", "--strict"}

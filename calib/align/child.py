@@ -12,7 +12,9 @@ from collections.abc import Callable
 from dataclasses import dataclass, field
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
+from multiprocessing.context import SpawnProcess
 from pathlib import Path
+from typing import Any
 
 import cv2
 import numpy as np
@@ -99,13 +101,7 @@ def measured(
 
 
 def _child(job: Job, pipe: Connection) -> None:
-    # Ctrl-C goes to the parent, which ends this process.
-    signal.signal(signal.SIGINT, signal.SIG_IGN)
-    # What is to be said goes through the pipe; libraries chatter on stderr (libjpeg on damaged photos).
-    with Path(os.devnull).open("wb") as nowhere:
-        os.dup2(nowhere.fileno(), 2)
-    if job.memory_limit_bytes is not None:
-        resource.setrlimit(resource.RLIMIT_AS, (job.memory_limit_bytes, job.memory_limit_bytes))
+    settle_in(job.memory_limit_bytes)
     last = 0.0
 
     def progress(stage: str, done: int, total: int) -> None:
@@ -117,18 +113,13 @@ def _child(job: Job, pipe: Connection) -> None:
 
     try:
         pipe.send(("done", work(job, progress)))
-    except FieldcalError as error:
-        pipe.send(("error", (type(error), str(error))))
     except BrokenPipeError:
         os._exit(1)  # The parent is gone, and nobody is left to tell.
     except Exception as error:  # noqa: BLE001 the top of the process: a defect is told, not retried
-        if _short_of_memory(error):
-            pipe.send(("memory", None))
-        else:
-            pipe.send(("defect", (type(error).__name__, traceback.format_exc())))
+        pipe.send(explain(error))
 
 
-def _short_of_memory(error: Exception) -> bool:
+def short_of_memory(error: Exception) -> bool:
     """Python, OpenCV and the thread library each say it in their own way."""
     if isinstance(error, cv2.error):
         return error.code == cv2.Error.StsNoMem
@@ -152,11 +143,13 @@ def run_job(job: Job, progress: Progress, attempts: int = 2) -> Outcome:
     )
 
 
-def _run_once(job: Job, progress: Progress) -> Outcome | None:
-    """One attempt; None when the child died without a word."""
-    context = multiprocessing.get_context("spawn")
-    here, there = context.Pipe(duplex=False)
-    process = context.Process(target=_child, args=(job, there), daemon=True)
+def start_quietly(target: Callable[..., None], arguments: tuple[Any, ...]) -> SpawnProcess | None:
+    """Start ``target`` in a process of its own whose numerical libraries use one thread each.
+
+    Ctrl-C does not reach it while it starts; ``target`` begins with :func:`settle_in`. None: it died
+    before it had its orders.
+    """
+    process = multiprocessing.get_context("spawn").Process(target=target, args=arguments, daemon=True)
     before = {name: os.environ.get(name) for name in _SINGLE_THREADED}
     os.environ.update(_SINGLE_THREADED)
     # Ctrl-C reaches the whole process group; a child that is still loading would answer it with a
@@ -166,7 +159,7 @@ def _run_once(job: Job, progress: Progress) -> Outcome | None:
     try:
         process.start()
     except BrokenPipeError:
-        return None  # It died before it had its orders.
+        return None
     finally:
         signal.pthread_sigmask(signal.SIG_SETMASK, blocked)
         for name, value in before.items():
@@ -174,6 +167,45 @@ def _run_once(job: Job, progress: Progress) -> Outcome | None:
                 del os.environ[name]
             else:
                 os.environ[name] = value
+    return process
+
+
+def end(process: SpawnProcess) -> None:
+    """End a child, by force if need be."""
+    process.terminate()
+    process.join(5)
+    if process.is_alive():
+        process.kill()
+        process.join()
+
+
+def settle_in(memory_limit_bytes: int | None) -> None:
+    """What a child does first: leave Ctrl-C to its parent, keep quiet, know its limits."""
+    # Ctrl-C goes to the parent, which ends this process.
+    signal.signal(signal.SIGINT, signal.SIG_IGN)
+    # What is to be said goes through the pipe; libraries chatter on stderr (libjpeg on damaged photos).
+    with Path(os.devnull).open("wb") as nowhere:
+        os.dup2(nowhere.fileno(), 2)
+    if memory_limit_bytes is not None:
+        resource.setrlimit(resource.RLIMIT_AS, (memory_limit_bytes, memory_limit_bytes))
+
+
+def explain(error: Exception) -> tuple[str, Any]:
+    """What a child says about an error at the top of its work: kind and content of the message."""
+    if isinstance(error, FieldcalError):
+        return "error", (type(error), str(error))
+    if short_of_memory(error):
+        return "memory", None
+    return "defect", (type(error).__name__, traceback.format_exc())
+
+
+def _run_once(job: Job, progress: Progress) -> Outcome | None:
+    """One attempt; None when the child died without a word."""
+    here, there = multiprocessing.get_context("spawn").Pipe(duplex=False)
+    process = start_quietly(_child, (job, there))
+    if process is None:
+        here.close()
+        return None
     there.close()
     deadline = time.monotonic() + job.time_limit_s
     try:
@@ -203,8 +235,4 @@ def _run_once(job: Job, progress: Progress) -> Outcome | None:
                 raise error_type(message)
     finally:
         here.close()
-        process.terminate()
-        process.join(5)
-        if process.is_alive():
-            process.kill()
-            process.join()
+        end(process)

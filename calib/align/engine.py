@@ -8,7 +8,8 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
 import numpy as np
 from scipy.sparse import coo_matrix
@@ -36,6 +37,7 @@ from calib.photos.blur import blurred, sharpness
 from calib.photos.photo import LeftOut, Photo
 from calib.solution import Observations, Solution
 
+PhotoKey = tuple[Path, str]
 #: stage, done, total
 Progress = Callable[[str, int, int], None]
 #: Tie points kept: at most this many in each cell of a grid over every photo.
@@ -68,12 +70,37 @@ class Aligned:
     calibrated: Calibrated
 
 
-class Aligner:
-    """Collects photos of one camera and solves their block."""
+@dataclass
+class Memory:
+    """What photos and pairs of photos cost once, for further aligners of the same photos.
 
-    def __init__(self, settings: Settings | None = None, progress: Progress = _silent) -> None:
+    Photos are told apart by :func:`photo_key`. Unreadable ones are not kept: a card may come back.
+    """
+
+    photos: dict[PhotoKey, tuple[Features, float]] = field(default_factory=dict)
+    pairs: dict[tuple[PhotoKey, PhotoKey], PairMatches | None] = field(default_factory=dict)
+
+
+def photo_key(photo: Photo) -> PhotoKey:
+    """Names a file and its content: a file that was replaced is another photo."""
+    return photo.path, photo.fingerprint
+
+
+class Aligner:
+    """Collects photos of one camera and solves their block.
+
+    The solution does not depend on what is in ``memory`` already, only its cost does.
+    """
+
+    def __init__(
+        self,
+        settings: Settings | None = None,
+        progress: Progress = _silent,
+        memory: Memory | None = None,
+    ) -> None:
         self.settings = settings or Settings()
         self._progress = progress
+        self._memory = memory or Memory()
         self._photos: list[Photo] = []
         self._features: list[Features] = []
         self._sharpness: list[float] = []
@@ -88,19 +115,24 @@ class Aligner:
     def add_all(self, photos: Sequence[Photo]) -> None:
         """Read photos, ``settings.workers`` at a time; unreadable ones are left out and named."""
 
-        def read(photo: Photo) -> tuple[Features, float] | PhotoError:
+        known = self._memory.photos
+
+        def read(photo: Photo) -> tuple[Features, float] | None:
+            if photo_key(photo) in known:
+                return known[photo_key(photo)]
             try:
                 gray, factor = decode_gray(photo.path, WORKING_SIDE_PX)
-            except PhotoError as error:
-                return error
+            except PhotoError:
+                return None
             return extract(gray, factor), sharpness(reduced(gray, SHARPNESS_SIDE_PX))
 
         with ThreadPoolExecutor(self.settings.workers) as pool:
             for done, (photo, outcome) in enumerate(zip(photos, pool.map(read, photos), strict=True)):
                 self._progress("reading photos", done + 1, len(photos))
-                if isinstance(outcome, PhotoError):
+                if outcome is None:
                     self._unreadable.append(LeftOut(photo.path, "the image data cannot be decoded"))
                     continue
+                known[photo_key(photo)] = outcome
                 self._photos.append(photo)
                 self._features.append(outcome[0])
                 self._sharpness.append(outcome[1])
@@ -134,14 +166,22 @@ class Aligner:
         wanted = [p for p in candidate_pairs(self._photos, self._features, usable) if p not in self._pairs]
         side = max(self._photos[0].camera.width, self._photos[0].camera.height)
 
+        known = self._memory.pairs
+
+        def key(pair: tuple[int, int]) -> tuple[PhotoKey, PhotoKey]:
+            return photo_key(self._photos[pair[0]]), photo_key(self._photos[pair[1]])
+
         def match(pair: tuple[int, int]) -> PairMatches | None:
             a, b = pair
+            if key(pair) in known:
+                return known[key(pair)]
             return match_pair(a, b, self._features[a], self._features[b], side, self.settings.seed)
 
         with ThreadPoolExecutor(self.settings.workers) as pool:
             for done, (pair, found) in enumerate(zip(wanted, pool.map(match, wanted), strict=True)):
                 self._progress("matching", done + 1, len(wanted))
-                self._pairs[pair] = found
+                known[key(pair)] = found
+                self._pairs[pair] = None if found is None else replace(found, a=pair[0], b=pair[1])
 
     def _tick(self, stage: str) -> Callable[[], None]:
         count = 0

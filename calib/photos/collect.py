@@ -55,10 +55,23 @@ def _photos_of(path: Path) -> list[Path]:
         raise InputError(
             f"There is no file or folder {path}; check the path, or whether the card is mounted."
         )
+    photos, others = photos_below(path)
+    if not photos:
+        seen = ", ".join(f"{count} {suffix}" for suffix, count in others.most_common(4))
+        raise InputError(f"There are no photos in {path}{f' (only {seen})' if seen else ', it is empty'}.")
+    return photos
+
+
+def photos_below(folder: Path) -> tuple[list[Path], Counter[str]]:
+    """Photo files of a folder as :func:`collect` takes them, perhaps none, and the suffixes of other files.
+
+    Raises:
+        InputError: the folder, or one below it, cannot be read; one sentence.
+    """
     others: Counter[str] = Counter()
     photos: list[Path] = []
     convertible: list[Path] = []
-    for file in _walk(path):
+    for file in _walk(folder):
         suffix = file.suffix.lower()
         if suffix in PHOTO_SUFFIXES:
             photos.append(file)
@@ -68,10 +81,7 @@ def _photos_of(path: Path) -> list[Path]:
             others[suffix or "no extension"] += 1
     developed = {file.with_suffix("") for file in photos}
     photos += [file for file in convertible if file.with_suffix("") not in developed]
-    if not photos:
-        seen = ", ".join(f"{count} {suffix}" for suffix, count in others.most_common(4))
-        raise InputError(f"There are no photos in {path}{f' (only {seen})' if seen else ', it is empty'}.")
-    return sorted(photos, key=_natural)
+    return sorted(photos, key=_natural), others
 
 
 def _walk(top: Path) -> Iterator[Path]:

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daemon.capture.alignment import Aligned, Cells, FloatArray, align, coincident
+from daemon.capture.alignment import LOG_PAIR, P_GAP, Aligned, Cells, FloatArray, align, coincident
 from daemon.capture.clocks import Clock, Times, candidate_clocks, cells_of, fit, log_density_alone
 from daemon.capture.records import Alternative, ClockFit, KnownClock, Pair, Pairing, Shot, Trigger
 
@@ -16,7 +16,11 @@ _SAME_S = 1e-3
 #: An unknown clock may be off by this much either way, in s (for the weight of "no pair at all").
 _CLOCK_RANGE_S = 86_400.0
 _MAX_ROUNDS = 4
-_NOT_TWICE = float(np.log(20.0))
+_FITS, _NOT_TWICE = float(np.log(20.0)), float(np.log(100.0))
+#: An intervalometer keeps its time so well over a whole flight; no aircraft does.
+_ON_TIME_S = 0.08
+#: So many photos' worth of belief in the loss assumed beforehand.
+_BELIEF = 5.0
 _INDEX_DISAGREES = float(np.log(0.1))
 
 
@@ -64,6 +68,9 @@ def pair(
     fits = _cautious(fits, len(photos))
     evidence = np.array([0.0, *(value for value, *_ in fits)])
     weights = np.exp(evidence - np.logaddexp.reduce(evidence))[1:]
+    step_s = _constant_step_s(times.trigger_s) if known is None else None
+    if step_s is not None:
+        weights = weights / 3
     joint: dict[tuple[int, int], float] = {}
     for weight, (_, _, cells, aligned) in zip(weights.tolist(), fits, strict=True):
         for i, j, p in zip(
@@ -79,6 +86,9 @@ def pair(
     used, taken = {p.trigger.key for p in pairs}, {id(p.shot) for p in pairs}
     shift = times.photo_reference_s - times.reference_s
     offsets = np.array([other.offset_s for _, other, *_ in fits])
+    if step_s is not None:
+        offsets = np.concatenate([offsets, offsets[:1] + step_s, offsets[:1] - step_s])
+        weights = np.concatenate([weights, weights[:1], weights[:1]])
     spread2 = float(weights @ (offsets - clock.offset_s) ** 2)
     return Pairing(
         tuple(pairs),
@@ -125,6 +135,23 @@ def update(
         if all((p.trigger.key, p.shot.name) in now for p in previous.sure_pairs):
             return quick
     return pair(all_triggers, all_shots, known=known, anchors=anchors)
+
+
+def _constant_step_s(trigger_s: FloatArray) -> float | None:
+    """The interval of an intervalometer, None where the triggers (n,) do not keep to one.
+
+    Then every clock that is a step earlier or later explains the times as well: which photos and
+    triggers are missing is chance, and by chance holes in both series fall together under one clock
+    more often than under another.
+    """
+    intervals = np.diff(trigger_s)
+    if len(intervals) < 2:
+        return None
+    step = float(np.median(intervals))
+    count = np.concatenate([[0.0], np.cumsum(np.round(intervals / max(step, 1e-3)))])
+    slope, start = np.polyfit(count, trigger_s, 1) if count[-1] > 0 else (0.0, 0.0)
+    off = np.abs(trigger_s - start - slope * count)
+    return float(slope) if float(off.max()) < _ON_TIME_S else None
 
 
 def _times(triggers: Sequence[Trigger], photos: Sequence[Shot]) -> Times:
@@ -174,10 +201,14 @@ def _refine(times: Times, clock: Clock, counters: FloatArray, known: KnownClock 
     objection = _counter_objection(counters[cells.trigger, 0], counters[cells.photo, 1], aligned)
     if objection.any():
         cells = replace(cells, log_weight=cells.log_weight + objection)
-    # No camera exposes twice at one moment: a lone photo where a lone trigger is, is their pair.
-    excluded = coincident(cells) * _NOT_TWICE
-    aligned = align(replace(cells, log_weight=cells.log_weight + excluded), n_t, n_p)
-    aligned = replace(aligned, log_evidence=aligned.log_evidence - float(excluded.sum()))
+    # Of photos and triggers that fit each other singly, those that no alignment joins speak against a clock.
+    fitting = coincident(cells)
+    joined = align(replace(cells, log_weight=cells.log_weight + fitting * _FITS), n_t, n_p)
+    evidence = joined.log_evidence - _FITS * float(fitting.sum())
+    # How often this flight loses photos and triggers says how likely a lone photo beside a lone trigger
+    # is. It moves the pairs only: clocks are compared under one and the same loss.
+    more = _loss(cells, joined) + fitting * _NOT_TWICE * _resolvable(times, clock, cells)
+    aligned = align(replace(cells, log_weight=cells.log_weight + more), n_t, n_p)
     # The clock had to be found: its posterior width over what was possible before (Occam's factor).
     width = np.sqrt(2 * np.pi) * clock.offset_sigma_s
     if known is None:
@@ -187,7 +218,48 @@ def _refine(times: Times, clock: Clock, counters: FloatArray, known: KnownClock 
         sigma = float(np.hypot(known.sigma_s, clock.offset_sigma_s))
         off = (clock.offset_s - offset_s) / sigma
         prior = float(np.log(width / (np.sqrt(2 * np.pi) * sigma)) - off**2 / 2)
-    return aligned.log_evidence + prior, clock, cells, aligned
+    return evidence + prior, clock, cells, aligned
+
+
+def _loss(cells: Cells, aligned: Aligned) -> float:
+    """Log of how much likelier a pair is against two lone ones than was assumed beforehand.
+
+    From the shares that are lone between the first and the last pair, with a few observations' worth
+    of belief in the loss assumed.
+    """
+    likely = aligned.probability > 0.5
+    if likely.sum() < 2:
+        return 0.0
+    pairs = float(aligned.probability[likely].sum())
+    lone = []
+    for index in (cells.trigger, cells.photo):
+        spanned = float(np.ptp(index[likely]) + 1)
+        lone.append(max((spanned - pairs + _BELIEF * P_GAP) / (spanned + _BELIEF), 0.1 / pairs))
+    return float(np.log((1 - max(lone)) / (lone[0] * lone[1]))) - LOG_PAIR
+
+
+def _resolvable(times: Times, clock: Clock, cells: Cells) -> FloatArray:
+    """How clearly (m,), 0 to 1, the times tell one exposure from the next one before or after it.
+
+    No camera exposes twice at one moment: a lone photo where a lone trigger is, is their pair, but
+    only where a moment is much shorter than the interval.
+    """
+    steps = [
+        _least_step(series)[index]
+        for series, index in ((times.trigger_s, cells.trigger), (times.photo_s, cells.photo))
+    ]
+    usual = float(np.median(np.diff(times.trigger_s))) if len(times.trigger_s) > 1 else 0.0
+    interval = np.minimum(np.minimum(*steps), usual)
+    moment = times.resolution_s[cells.photo] + 2 * clock.jitter_s
+    clear: FloatArray = np.clip(interval / moment - 1, 0.0, 1.0)
+    return clear
+
+
+def _least_step(series_s: FloatArray) -> FloatArray:
+    """Time (n,) from each to the nearer of its neighbours."""
+    steps = np.concatenate([[np.inf], np.diff(series_s), [np.inf]])
+    least: FloatArray = np.minimum(steps[:-1], steps[1:])
+    return least
 
 
 def _counter_shift(triggers: Sequence[Trigger], photos: Sequence[Shot]) -> FloatArray:
@@ -212,11 +284,14 @@ def _counter_objection(count: FloatArray, order: FloatArray, aligned: Aligned) -
     sure = np.flatnonzero((aligned.probability > 0.9) & np.isfinite(shift))
     if len(sure) < 5:
         return none
-    # The 4 sure pairs before and after each cell.
-    place = np.searchsorted(sure, np.arange(len(shift)))
-    around = np.clip(place[:, None] + np.arange(-4, 5), 0, len(sure) - 1)
-    expected = np.median(shift[sure][around], axis=1)
-    disagrees = np.isfinite(shift) & (np.abs(shift - expected) > 0.5)
+    # The five sure pairs before each cell and the five after it: where a photo was not taken the
+    # counters part, and next to such a place either side may be right.
+    first = np.searchsorted(sure, np.arange(len(shift)))
+    last = np.searchsorted(sure, np.arange(len(shift)), side="right")
+    disagrees = np.isfinite(shift)
+    for around in (first[:, None] - np.arange(1, 6), last[:, None] + np.arange(5)):
+        expected = np.median(shift[sure][np.clip(around, 0, len(sure) - 1)], axis=1)
+        disagrees &= np.abs(shift - expected) > 0.5
     if disagrees[sure].mean() > 0.2:
         return none
     return np.where(disagrees, _INDEX_DISAGREES, 0.0)

@@ -191,12 +191,14 @@ def unfinished(session: SessionReader) -> Unfinished:
     counts, pairing, verdict = session.counts(), session.pairing(), session.latest_verdict()
     pairs = pairing.value if pairing is not None else None
     seen = 0 if pairs is None else min(pairs.photos, counts.photos)
+    if not counts.triggers:
+        seen = counts.photos  # Photos without a vehicle have nothing to be paired with.
     paired = 0 if pairs is None else len(pairs.pairs)
     judged = 0 if verdict is None else min(verdict.value.photos, counts.photos)
     return Unfinished(
         ended=bool(session.events(FINISHED)),
         unseen_photos=counts.photos - seen,
-        lonely_photos=max(seen - paired, 0),
+        lonely_photos=max(seen - paired, 0) if counts.triggers else 0,
         lonely_triggers=max(counts.triggers - paired, 0),
         behind=counts.photos - judged,
         final_verdict=verdict is not None and verdict.value.final,

@@ -1,0 +1,356 @@
+"""A flight as it goes on: photos in, provisional verdicts while they come, the final one at the end.
+
+A loop of small steps that each return at once (:meth:`Flight.step`). What has happened is in the
+session's record before anybody is told; the alignment child and this process may die at any instant.
+"""
+
+from __future__ import annotations
+
+import time
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from typing import Any, Literal
+
+from calib.align.stream import Finished, Progressed, Read, Restarted, Solve, Solver
+from calib.check import choose_reference, conclude, read_set
+from calib.errors import AlignmentError, FieldcalError, InputError
+from calib.photos import LeftOut, Photo, require_block, sort_photos
+from calib.report_json import report_dict
+from calib.result import CheckResult, Timing
+from daemon.advice import what_to_fly
+from daemon.capture.hot_folder import Arrival, HotFolder, Poll
+from daemon.live.schemas import Capture, FindingLine, Link, Log, Message, Progress, Status, Verdict
+from daemon.session.rows import ClockName, Event, PhotoFile, SolutionRecord, Stamp, VerdictRecord
+from daemon.session.store import Session
+
+#: The first provisional solution waits for so many photos, each further one for this share more.
+FIRST, MORE = 6, 0.25
+#: Photos that are read at once: small, so that a solution need not wait long.
+_BATCH = 4
+LOOK_EVERY_S = 0.5
+STARTED = "run.started"
+_TRANSIENT_S = 0.1
+
+
+@dataclass(frozen=True)
+class Options:
+    """``idle_s``: the flight is over when nothing has come for so long (0: only when told);
+    ``count``: or when so many photos are there."""
+
+    vehicle: str
+    folder: Path
+    reference: str | None = None
+    idle_s: float = 120.0
+    count: int | None = None
+
+
+Phase = Literal["waiting", "collecting", "concluding", "ended"]
+
+
+class Flight:
+    """One flight of a hot folder.
+
+    Args:
+        tell: takes messages for whoever watches; never waits.
+        clock: seconds on a clock that never steps.
+    """
+
+    def __init__(
+        self,
+        session: Session,
+        options: Options,
+        solver: Solver,
+        tell: Callable[[Message], None],
+        clock: Callable[[], float] = time.monotonic,
+    ) -> None:
+        self._session, self._options, self._solver, self._tell = session, options, solver, tell
+        self._clock = clock
+        self._hot = HotFolder(options.folder, clock=clock)
+        self._photos: dict[Path, Photo] = {}
+        self._unread: list[Photo] = []
+        self._poll = Poll((), 0, ())
+        self._looked_s, self._moved_s = -1e9, clock()
+        self._solved_for = self._failed_for = 0
+        self._aligned = 0
+        self._since = datetime.now(UTC)
+        self._phase: Phase = "waiting"
+        self._degraded: tuple[str, ...] = ()
+        self._over = False
+        self._seq = session.counts().photos
+        self._trying_for = self._trying_seq = 0
+        self._told: object = None
+        self._tell(Link(vehicle=options.vehicle))
+        self._resume()
+
+    # -- what is asked of it -----------------------------------------------------------------------
+
+    def finish(self) -> None:
+        """No more photos come: conclude."""
+        self._over = True
+
+    @property
+    def over(self) -> bool:
+        """Whether it is time for :meth:`conclude`."""
+        if self._over:
+            return True
+        enough = self._options.count is not None and self._poll.whole >= self._options.count
+        idle = 0 < self._options.idle_s <= self._clock() - self._moved_s
+        return enough or (idle and bool(self._photos) and not self._poll.fault)
+
+    def step(self) -> None:
+        """Look into the folder if it is time, and let the alignment go on.
+
+        Raises:
+            FieldcalError: the record cannot be written.
+        """
+        self._look()
+        if not self._solver.busy:
+            self._begin_something()
+        happening = self._solver.poll(_TRANSIENT_S)
+        if not self._solver.busy and happening is None:
+            time.sleep(_TRANSIENT_S)
+        self._take(happening)
+        self._tell_state()
+
+    def conclude(self) -> CheckResult:
+        """The final verdict: the check's own of all photos in the folder now; recorded when it returns.
+
+        Raises:
+            FieldcalError: the photos cannot be used, or the record cannot be written.
+        """
+        self._enter("concluding")
+        self._say("No more photos: the final verdict is being worked out.")
+        self._solver.call_off()
+        while self._solver.busy:
+            self._take(self._solver.poll(_TRANSIENT_S))
+        while True:
+            self._looked_s = -1e9
+            self._look()
+            if not self._poll.fault:
+                break
+            self._tell_state()
+            time.sleep(LOOK_EVERY_S)
+        found = read_set([self._options.folder], self._progress)
+        require_block(found)
+        self._missing(found.used, found.left_out)
+        seq = self._session.counts().photos
+        reference, note = choose_reference(found.used[0], self._options.reference)
+        lens = None if reference is None else reference.lens
+        covariance = None if reference is None else reference.lens_covariance
+        started = time.monotonic()
+        self._solver.submit(Solve(found.used, True, lens, covariance))
+        finished: Finished | None = None
+        while finished is None:
+            happening = self._solver.poll(_TRANSIENT_S)
+            if isinstance(happening, Finished):
+                finished = happening
+            else:
+                self._take(happening)
+            self._tell_state()
+        if finished.error is not None:
+            raise finished.error
+        if finished.outcome is None:
+            raise AlignmentError("The alignment ended without a result; run it again.")
+        wall_s = time.monotonic() - started
+        # Of the final solution alone; what was done before is not counted.
+        timing = Timing(wall_s, finished.cpu_s, len(found.used) / max(wall_s, 1e-9))
+        result = conclude(finished.outcome, found.left_out, reference, note, timing)
+        result = replace(result, what_to_fly=what_to_fly(result))
+        self._record(result, seq, final=True)
+        return result
+
+    def ended(self) -> None:
+        """Tell that it is over."""
+        self._enter("ended")
+
+    # -- photos ------------------------------------------------------------------------------------
+
+    def _look(self) -> None:
+        now = self._clock()
+        if now - self._looked_s < LOOK_EVERY_S:
+            return
+        self._looked_s = now
+        before, self._poll = self._poll, self._hot.poll()
+        if self._poll.fault != before.fault:
+            self._say(
+                self._poll.fault or "The folder is there again.", "warning" if self._poll.fault else "info"
+            )
+        if self._poll.arrived or self._poll.waiting != before.waiting or self._poll.fault != before.fault:
+            self._moved_s = now
+        for arrival in self._poll.arrived:
+            self._arrive(arrival)
+
+    def _arrive(self, arrival: Arrival) -> None:
+        photo = arrival.photo
+        path = photo.path.absolute()
+        row = self._session.add_photo(PhotoFile(path, arrival.sha256, arrival.size_bytes))
+        self._seq = max(self._seq, row.seq)
+        self._photos[photo.path] = photo
+        self._unread.append(photo)
+        if self._phase == "waiting":
+            self._enter("collecting")
+
+    def _missing(self, used: Sequence[Photo], left_out: Sequence[LeftOut]) -> None:
+        """Say which recorded photos are not in the folder any more."""
+        there = {photo.path.absolute() for photo in used} | {item.path.absolute() for item in left_out}
+        gone = [row.value.path.name for row in self._session.photos() if row.value.path not in there]
+        if gone:
+            self._say(
+                f"{len(gone)} of the photos recorded earlier are not in {self._options.folder} any more, "
+                f"for example {gone[0]}: the verdict rests on those that are.",
+                "warning",
+            )
+
+    # -- alignment ---------------------------------------------------------------------------------
+
+    def _begin_something(self) -> None:
+        due = len(self._photos) >= max(FIRST, (1 + MORE) * max(self._solved_for, self._failed_for))
+        if self._unread and not (due and len(self._photos) >= 2 * max(self._solved_for, FIRST)):
+            batch, self._unread = self._unread[:_BATCH], self._unread[_BATCH:]
+            self._solver.submit(Read(tuple(batch)))
+            return
+        if not due:
+            return
+        found = sort_photos(list(self._photos.values()))
+        try:
+            require_block(found)
+            reference, _ = choose_reference(found.used[0], self._options.reference)
+        except InputError as error:
+            self._failed_for = len(self._photos)
+            self._say(f"Not yet: {error}")
+            return
+        lens = None if reference is None else reference.lens
+        covariance = None if reference is None else reference.lens_covariance
+        self._trying_for = len(self._photos)
+        self._trying_seq = self._seq
+        self._solver.submit(Solve(found.used, False, lens, covariance))
+
+    def _take(self, happening: Finished | Progressed | Restarted | None) -> None:
+        if isinstance(happening, Progressed):
+            self._progress(happening.stage, happening.done, happening.total)
+        elif isinstance(happening, Restarted):
+            self._degraded = ("The alignment process died and was started again.",)
+            self._say(self._degraded[0], "warning")
+        elif isinstance(happening, Finished):
+            if happening.error is None:
+                self._degraded = ()
+            if isinstance(happening.request, Solve):
+                self._provisional(happening)
+
+    def _provisional(self, finished: Finished) -> None:
+        if finished.error is not None:
+            if not isinstance(finished.error, FieldcalError):
+                raise finished.error
+            self._failed_for = self._trying_for
+            self._say(f"Not yet: {finished.error}")
+            return
+        if finished.outcome is None:
+            return
+        self._solved_for = self._trying_for
+        request = finished.request
+        assert isinstance(request, Solve)
+        left_out = sort_photos(list(self._photos.values())).left_out
+        reference, note = choose_reference(request.photos[0], self._options.reference)
+        result = conclude(finished.outcome, left_out, reference, note, Timing(0.0, 0.0, 0.0))
+        self._record(replace(result, what_to_fly=what_to_fly(result)), self._trying_seq, final=False)
+
+    def _record(self, result: CheckResult, seq: int, final: bool) -> None:
+        report = report_dict(result)
+        self._aligned = len(result.solution.photos)
+        with self._session.batch():
+            data = {key: report[key] for key in ("calibration", "alignment", "network", "dome")}
+            solution = self._session.add_solution(SolutionRecord(seq, data))
+            recorded = self._session.add_verdict(VerdictRecord(report, seq, final, solution.seq))
+        self._tell(verdict_message(self._options.vehicle, report, final, recorded.recorded))
+
+    # -- telling -----------------------------------------------------------------------------------
+
+    def _resume(self) -> None:
+        newest = self._session.latest_verdict()
+        if newest is not None:
+            value = newest.value
+            self._tell(
+                verdict_message(self._options.vehicle, dict(value.report), value.final, newest.recorded)
+            )
+        if self._session.counts().photos:
+            self._say(f"{self._session.counts().photos} photos are recorded already.")
+        self._session.add_event(
+            Event(
+                STARTED,
+                Stamp(datetime.now(UTC).timestamp(), ClockName.UTC),
+                {
+                    "folder": str(self._options.folder.absolute()),
+                    "vehicle": self._options.vehicle,
+                    "reference": self._options.reference,
+                },
+            )
+        )
+        self._tell_state()
+
+    def _enter(self, phase: Phase) -> None:
+        self._phase, self._since = phase, datetime.now(UTC)
+        self._tell_state()
+
+    def _say(self, text: str, level: Literal["info", "warning", "error"] = "info") -> None:
+        self._tell(Log(vehicle=self._options.vehicle, at=datetime.now(UTC), level=level, text=text))
+
+    def _progress(self, stage: str, done: int, total: int) -> None:
+        self._tell(
+            Progress(
+                vehicle=self._options.vehicle,
+                photos=len(self._photos),
+                aligned=self._aligned,
+                stage=stage,
+                done=done,
+                of=total or None,
+            )
+        )
+
+    def _tell_state(self) -> None:
+        vehicle = self._options.vehicle
+        state = (self._phase, self._degraded, self._poll.fault)
+        if state != self._told:
+            self._told = state
+            self._tell(
+                Status(
+                    vehicle=vehicle,
+                    phase=self._phase,
+                    session=self._session.folder.name,
+                    since=self._since,
+                    degraded=[*self._degraded, *([self._poll.fault] if self._poll.fault else [])],
+                )
+            )
+        waiting = len(self._poll.waiting)
+        warning = f"{waiting} files are not whole yet." if waiting else None
+        self._tell(
+            Capture(
+                vehicle=vehicle,
+                photos=self._poll.whole,
+                waiting=waiting,
+                warning=self._poll.fault or warning,
+            )
+        )
+
+
+def verdict_message(vehicle: str, report: dict[str, Any], final: bool, at: datetime) -> Verdict:
+    """The verdict of a ``fieldcal.check/1`` report as it goes over the bus."""
+    calibration, dome = report["calibration"], report["dome"]
+    f_px, sigma_px = calibration["f_px"], calibration["sigma"]["f_px"]
+    return Verdict(
+        vehicle=vehicle,
+        verdict=report["verdict"],
+        final=final,
+        at=at,
+        headline=report["headline"],
+        what_to_fly=report["what_to_fly"],
+        photos=report["alignment"]["aligned"],
+        f_px=f_px,
+        sigma_f_percent=100 * sigma_px / f_px if f_px and sigma_px is not None else None,
+        dome_percent=dome["amplitude_percent"],
+        sigma_dome_m=dome["sigma_m"],
+        findings=[
+            FindingLine(rule=f["rule"], state=f["state"], message=f["message"]) for f in report["findings"]
+        ],
+    )
