@@ -54,13 +54,13 @@ def check_photos(photos: Sorted, options: Options, progress: Progress) -> CheckR
         FieldcalError: the photos cannot be used; one sentence.
     """
     require_block(photos)
-    started, cpu = time.monotonic(), _cpu_s()
+    started, cpu = time.monotonic(), cpu_s()
     reference, note = choose_reference(photos.used[0], options.reference)
     lens = None if reference is None else reference.lens
     covariance = None if reference is None else reference.lens_covariance
     outcome = run_job(Job(photos.used, lens, options.settings, reference_covariance=covariance), progress)
     wall = time.monotonic() - started
-    timing = Timing(wall, _cpu_s() - cpu, len(photos.used) / max(wall, 1e-9))
+    timing = Timing(wall, cpu_s() - cpu, len(photos.used) / max(wall, 1e-9))
     return conclude(outcome, photos.left_out, reference, note, timing)
 
 
@@ -97,7 +97,7 @@ def conclude(
     )
 
 
-def _cpu_s() -> float:
+def cpu_s() -> float:
     """CPU seconds of this process and its finished children."""
     return sum(
         usage.ru_utime + usage.ru_stime

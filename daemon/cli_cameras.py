@@ -100,7 +100,7 @@ def show(name: NameArgument) -> None:
     if reference.line is not None:
         line = reference.line
         out.print()
-        out.print(f"Published line ({line.source}): K2 = {line.slope:.4e} K1 {line.intercept:+.4e},")
+        out.print(f"Equifinal line ({line.source}): K2 = {line.slope:.4e} K1 {line.intercept:+.4e},")
         out.print(
             f"K1 {line.k1_min:.2e} to {line.k1_max:.2e}, K2 {line.k2_min:.2e} to {line.k2_max:.2e} (px units)"
         )
