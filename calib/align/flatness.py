@@ -24,6 +24,8 @@ TERMS = ("x2", "xy", "y2")
 NEAR_PLANE = 0.02
 #: Points beyond so many robust sigmas of the surface are left out (a window's reveal, a pipe, a mismatch).
 OUTLIER_SIGMAS = 4.0
+#: A wall longer than so many heights shows by itself which way it runs.
+ELONGATED = 1.5
 _TRIALS = 400
 _CELLS = (12, 6)
 
@@ -118,15 +120,22 @@ def find_plane(points: FloatArray, cameras: FloatArray, seed: int = 0) -> tuple[
     return plane, near
 
 
-def _levelled(plane: Plane, rotations: FloatArray) -> Plane:
-    """The plane with x as the photos' rows run over it and y up in them."""
+def _levelled(plane: Plane, on_wall: FloatArray, rotations: FloatArray) -> Plane:
+    """The plane with x along the wall (where it is long), or as the photos' rows run, and y up.
+
+    ``on_wall`` (w, 3): points of the wall. Photos may be turned upright, so rows alone do not tell.
+    """
     normal = plane.axes[2]
-    rows = rotations[:, 0, :] - np.outer(rotations[:, 0, :] @ normal, normal)
-    _, vectors = np.linalg.eigh(rows.T @ rows)
-    x = vectors[:, 2] - (vectors[:, 2] @ normal) * normal
+    spread, vectors = np.linalg.eigh(np.cov((on_wall - plane.origin).T))
+    x = vectors[:, 2]
+    if spread[2] < ELONGATED**2 * spread[1]:
+        rows = rotations[:, 0, :] - np.outer(rotations[:, 0, :] @ normal, normal)
+        rows /= np.maximum(np.linalg.norm(rows, axis=1, keepdims=True), 1e-12)
+        x = np.linalg.eigh(rows.T @ rows)[1][:, 2]
+    x = x - (x @ normal) * normal
     x /= np.linalg.norm(x)
     y = np.cross(normal, x)
-    if np.median(rotations[:, 1, :] @ y) > 0:  # Image rows count downwards.
+    if float(np.sum(rotations[:, 1, :] @ y)) > 0:  # Image rows count downwards.
         x, y = -x, -y
     return Plane(plane.origin, np.stack([x, y, normal]))
 
@@ -145,7 +154,7 @@ def measure_flatness(block: Calibrated, estimate: Estimate, seed: int = 0) -> Fl
     state = adjusted.state
     points, cameras = state.points_m, state.centres_m
     plane, near = find_plane(points, cameras, seed)
-    plane = _levelled(plane, state.rotations)
+    plane = _levelled(plane, points[near], state.rotations)
     local = plane.coordinates(points)
     distance = float(np.median(plane.coordinates(cameras)[:, 2]))
     low, high = np.percentile(local[near, :2], [1.5, 98.5], axis=0)
