@@ -2,15 +2,27 @@
 
 from __future__ import annotations
 
+import math
 import sys
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
+import numpy as np
 import typer
 from rich.text import Text
 
 from calib.check import read_set
+from calib.control import (
+    MARK_SIGMA_PX,
+    POINT_SIGMA_M,
+    ControlCalibration,
+    calibrate_control,
+    coverage_hint,
+    prepare,
+)
+from calib.control_files import read_marks, read_points
+from calib.control_output import control_json, control_reference, render_control, summary
 from calib.errors import InputError
 from calib.files import check_file_writable, output_folder, write_text_atomic
 from calib.onsite import (
@@ -23,11 +35,13 @@ from calib.onsite import (
 )
 from calib.onsite_json import calibration_json
 from calib.onsite_report import render_calibration
+from calib.onsite_rules import REFERENCE_SIGMA_PERCENT
+from calib.photos import collect, read_photos
 from calib.photos.sort import require_block
 from calib.reference_file import write_reference_file
 from calib.references import check_saving, save_reference
 from calib.wording import camera_name, path_text, photos_given
-from daemon.output import console, write_stdout
+from daemon.output import console, table, write_stdout
 from daemon.progress import progress_line
 from daemon.terminal import BADGES, print_findings, wrapped
 
@@ -170,3 +184,116 @@ def _show(made: Calibration, wanted: _Wanted, saved: str | None) -> None:
     else:
         paragraph(f"Saved as {saved}: fieldcal check PHOTOS --reference {saved}")
     say.print(Text(f"Report: {path_text(wanted.out / REPORT_HTML)}"), soft_wrap=True)
+
+
+@app.command()
+def control(
+    photos: PhotosArgument,
+    marks: Annotated[
+        Path, typer.Option(metavar="FILE", help="Marks: CSV, ODM gcp_list.txt or Metashape markers XML.")
+    ],
+    points: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Points: CSV (default: those in the file of marks)."),
+    ] = None,
+    focal_px: Annotated[
+        float | None, typer.Option(metavar="PX", help="Focal length to start from (default: the photos').")
+    ] = None,
+    mark_sigma_px: Annotated[
+        float, typer.Option(min=0.01, max=20, help="Precision of a mark, px.")
+    ] = MARK_SIGMA_PX,
+    point_sigma_m: Annotated[
+        float,
+        typer.Option(min=0, max=10, help="Precision of a point where the file states none; 0 holds it."),
+    ] = POINT_SIGMA_M,
+    check_every: Annotated[
+        int,
+        typer.Option(min=0, max=50, help="Every so many points is a check point, where none is marked so."),
+    ] = 0,
+    name: NameOption = None,
+    out: OutOption = DEFAULT_OUT,
+    temperature: TemperatureOption = None,
+    json_to: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Calibrate on control points, parameters in steps. Exit code 0 done, 3 if f is too vague to keep."""
+    wanted = _Wanted(name, out, temperature, json_to, quiet)
+    if name is not None:
+        check_saving(name)
+    found_marks = read_marks(marks)
+    surveyed = found_marks.points if points is None else read_points(points)
+    if not surveyed:
+        raise InputError(f"{marks} holds no coordinates; give the points with --points.")
+    hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
+    with progress_line(hidden, "reading metadata") as report:
+        files = collect(photos)
+        read, bad = read_photos(files, lambda done: report("reading metadata", done, len(files)))
+    if not read:
+        raise InputError(f"No photo can be read ({bad[0].path}: {bad[0].reason}).")
+    marked, kept, chosen, notes = prepare(
+        read, surveyed, found_marks.marks, mark_sigma_px, point_sigma_m, check_every
+    )
+    start = focal_px or next((p.focal_px for p in kept if p.focal_px), None)
+    if start is None:
+        raise InputError("The photos do not state their focal length; give it with --focal-px.")
+    if not 0.1 < start / kept[0].camera.width < 100:
+        raise InputError(f"{start:g} px is no focal length of photos {kept[0].camera.width} px wide.")
+    made = calibrate_control(marked, kept, chosen, start, notes)
+    saving = wanted.name or default_name(kept[0].camera)
+    check_saving(saving)
+    sigma = 100 * math.sqrt(made.fit.covariance[0, 0]) / made.camera.f_px
+    good = sigma <= REFERENCE_SIGMA_PERCENT
+    with output_folder(out):
+        if json_to is not None and json_to != "-":
+            check_file_writable(Path(json_to))
+        saved = None
+        (out / REFERENCE_JSON).unlink(missing_ok=True)
+        if good:
+            reference = control_reference(made, saving, temperature)
+            write_reference_file(reference, out / REFERENCE_JSON)
+            save_reference(reference)
+            saved = saving
+        write_text_atomic(out / "control.html", render_control(made, saved))
+        write_text_atomic(out / "control.json", control_json(made, saved))
+        if json_to is not None and json_to != "-":
+            write_text_atomic(Path(json_to), control_json(made, saved))
+    if json_to == "-":
+        write_stdout(control_json(made, saved))
+    _show_control(made, wanted, saved, sigma)
+    return 0 if good else 3
+
+
+def _show_control(made: ControlCalibration, wanted: _Wanted, saved: str | None, sigma: float) -> None:
+    to_stderr = wanted.json_to == "-"
+    say = console(to_stderr)
+    headline = f"f {made.camera.f_px:.2f} px, known to {sigma:.4f} % (1 sigma)"
+    if wanted.quiet:
+        if not to_stderr:
+            say.print(headline)
+        return
+    say.print(headline)
+    say.print(summary(made), soft_wrap=True)
+    numbers = ("sigma0", "control px", "check px", "chance")
+    rows = table("step", *numbers, "", numbers=numbers)
+    for step in made.steps:
+        chance = "" if step.chance is None else f"{step.chance:.2g}"
+        check = f"{step.check_rms_px:.2f}" if math.isfinite(step.check_rms_px) else "-"
+        kept = "kept" if step.kept else "left out"
+        rows.add_row(step.name, f"{step.sigma0:.2f}", f"{step.control_rms_px:.2f}", check, chance, kept)
+    say.print(rows)
+    for label, check_points in (("control", False), ("check", True)):
+        errors = made.rmse_m(check_points)
+        if np.isfinite(errors).all():
+            x, y, z = 1000 * errors
+            say.print(f"{label} points: RMSE x {x:.1f}, y {y:.1f}, z {z:.1f} mm")
+    for text in (*made.blunders, *made.notes, *filter(None, [coverage_hint(made)])):
+        say.print(text, soft_wrap=True)
+    if saved is None:
+        limit = f"{REFERENCE_SIGMA_PERCENT:g} %"
+        say.print(
+            f"Not saved: a reference needs {limit}. Mark more points, towards the corners too.",
+            soft_wrap=True,
+        )
+    else:
+        say.print(f"Saved as {saved}: fieldcal check PHOTOS --reference {saved}", soft_wrap=True)
+    say.print(f"Report: {path_text(wanted.out / 'control.html')}", soft_wrap=True)

@@ -25,6 +25,7 @@ from calib.reference_file import write_reference_file
 from calib.reference_history import (
     average,
     body_history,
+    change,
     changes,
     describe,
     describe_trend,

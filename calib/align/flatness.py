@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
+from calib.align.adjust import similarity_tangent
 from calib.align.selfcal import Calibrated
 from calib.camera import FloatArray
 from calib.solution import Estimate
@@ -177,6 +178,10 @@ def measure_flatness(block: Calibrated, estimate: Estimate, seed: int = 0) -> Fl
     rows = (inverse @ design[used].T)[3:]
     gradients = np.zeros((len(points), 3, len(TERMS)))
     gradients[used] = plane.axes[2][None, :, None] * rows.T[:, None, :]
+    # In distances the terms do not change with the block's scale, of which nothing is known.
+    tangent = similarity_tangent(points - points.mean(axis=0)).reshape(-1, 7)
+    flat = gradients.reshape(-1, len(TERMS))
+    gradients = (flat - tangent @ np.linalg.lstsq(tangent, flat, rcond=None)[0]).reshape(gradients.shape)
     formal = adjustment.functional_covariance(adjusted, gradients)
     excess = estimate.correlation_factor / adjustment.noise_factor
     covariance: FloatArray = formal * excess
@@ -187,8 +192,8 @@ def measure_flatness(block: Calibrated, estimate: Estimate, seed: int = 0) -> Fl
         covariance = covariance + by_lens @ more @ by_lens.T
     covariance = covariance + _roughness(rest[used], u[used], v[used], inverse)
     percent = 100 / distance
-    flat = _design(u, v)[:, :3]
-    level = local[used, 2] - flat[used] @ np.linalg.lstsq(flat[used], local[used, 2], rcond=None)[0]
+    plain = design[used, :3]
+    level = local[used, 2] - plain @ np.linalg.lstsq(plain, local[used, 2], rcond=None)[0]
     return Flatness(
         terms_percent=coefficients[3:] * percent,
         covariance=covariance * percent**2,
