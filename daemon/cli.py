@@ -37,6 +37,7 @@ _OUTPUT_FAULTS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, 
 def _app() -> typer.Typer:
     # The commands bring the numerical libraries, a second or two: loaded in here, so that Ctrl-C
     # is answered with one line from the start.
+    from daemon.cli_calibrate import app as calibrate_app
     from daemon.cli_cameras import app as cameras_app
     from daemon.cli_check import check
     from daemon.cli_doctor import doctor
@@ -58,6 +59,7 @@ def _app() -> typer.Typer:
     )
     app.callback()(_root)
     app.command("check")(check)
+    app.add_typer(calibrate_app, name="calibrate")
     app.add_typer(cameras_app, name="cameras")
     app.command("equifinal")(equifinal)
     app.add_typer(sim_app, name="sim")
