@@ -21,7 +21,6 @@ from mission.plan import Station
 from mission.planned import Planned
 from mission.predict import fix, predict
 from mission.reroute import allowed_station, rerouted
-from mission.sheet import write_sheet
 from mission.site_build import build_site
 from mission.site_file import SiteFile, checked, overlaid, read_site_file
 
@@ -276,6 +275,8 @@ def _deliver(planned: Planned, outputs: list[Path], how: _Delivery) -> None:
     written: list[Path] = []
     for path in outputs:
         if path.suffix.lower() == SHEET:
+            from mission.sheet import write_sheet  # Brings the drawing library, which is slow to load.
+
             write_sheet(planned, path)
         elif withheld:
             continue

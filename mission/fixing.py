@@ -14,7 +14,7 @@ from shapely import Polygon
 from calib.camera import FloatArray
 from calib.limits import percent
 from mission.candidates import Candidates, rings, single_stations
-from mission.optimise import Choice, Criterion, Search
+from mission.optimise import Choice, Criterion, Search, Worths
 from mission.plan import Plan, Station, stations, stop
 from mission.planned_network import Assumptions, PlannedNetwork, ground_heights_m, planned_network
 from mission.prediction import Prediction, predict_stations
@@ -63,10 +63,10 @@ def fix(
     given, wanted = assumptions or Assumptions(), criterion or Criterion()
     ground = LevelGround() if terrain is None else terrain
     photos = stations(plan)
-    before = predict_stations(photos, plan.camera, ground, area, given)
+    planned = planned_network(photos, plan.camera, ground, given)
+    before = predict_stations(photos, plan.camera, ground, area, given, planned)
     if wanted.ratio((before.sigma_f_percent, before.dome_percent)) <= 1 and not wanted.least_photos:
         return Fix(plan, (), 0.0, before, before, f"No photos need to be added. {_known(before)}", None)
-    planned = planned_network(photos, plan.camera, ground, given)
     middle = place_of_pass(plan, planned, area)
     at_ground = float(ground_heights_m(ground, np.array([[*middle, 0.0]]))[0])
     gaps = _nearest(plan_gaps(plan), middle)
@@ -104,8 +104,9 @@ def search(candidates: Candidates, middle_m: FloatArray, ground_m: float, criter
     if not candidates.stations:
         return Choice((), 0.0, math.inf)
     wanted = criterion
+    worths = Worths(candidates.pool, candidates.planned.worth)
     for _ in range(4):
-        hunt = Search(candidates.pool, candidates.planned.worth, candidates.detours, wanted)
+        hunt = Search(worths, candidates.detours, wanted)
         choice = polish(candidates, hunt, hunt.best(sets), ground_m)
         # The search thins the points of a photo; the answer is checked with all of them.
         dense = _dense_ratio(candidates, choice, criterion)
@@ -121,7 +122,7 @@ def search(candidates: Candidates, middle_m: FloatArray, ground_m: float, criter
 def _dense_ratio(candidates: Candidates, choice: Choice, criterion: Criterion) -> float:
     """The criterion's ratio of a choice with all points that its photos see."""
     dense = candidates.dense_pool(choice.photos)
-    check = Search(dense, candidates.planned.worth, candidates.detours, criterion)
+    check = Search(Worths(dense, candidates.planned.worth), candidates.detours, criterion)
     return check.ratio(range(len(dense)))
 
 
@@ -139,6 +140,8 @@ def polish(candidates: Candidates, hunt: Search, choice: Choice, ground_m: float
             for seconds, i in options[:3]:
                 if seconds > choice.seconds - 0.1:
                     break
+                if hunt.hopeless(choice.photos, one, i):
+                    continue
                 found = hunt.choice((*rest, i))
                 if found.good and found.seconds < choice.seconds - 0.1:
                     choice, improved = found, True
