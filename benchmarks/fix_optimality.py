@@ -77,7 +77,7 @@ def outcome(seed: int, count: int = STATIONS) -> Outcome:
     assumed = replace(Assumptions(), tie_points_per_photo=float(rng.uniform(500, 1500)))
     planned = planned_network(stations(plan), plan.camera, LevelGround(), assumed)
     middle = np.zeros(2)
-    candidates = Candidates(planned, middle, plan.vehicle, plan_gaps(plan), None)
+    candidates = Candidates(planned, middle[None], plan.vehicle, plan_gaps(plan), None)
     grid = single_stations(middle, 0.0, planned.height_agl_m)
     picked = [grid[i] for i in rng.choice(len(grid), 3 * count, replace=False)]
     candidates.add(picked)

@@ -76,7 +76,7 @@ def write_terrain(path: Path, across_m: float = 6000.0, step_m: float = 5.0) -> 
 def command(
     hectares: float, height_m: float, patterns: str, more: Sequence[str], target_s: float | None
 ) -> Command:
-    """`fieldcal plan` of a round area over the terrain model, every result written: the cheaper of two runs."""
+    """`fieldcal plan` of a round area over the terrain model, results written: the cheaper of two runs."""
     with tempfile.TemporaryDirectory() as folder:
         work = Path(folder)
         write_terrain(work / "dem.tif")
@@ -84,7 +84,8 @@ def command(
         line = [
             sys.executable, "-m", "daemon.cli", "plan", patterns, "--area", area, "--height", f"{height_m:g}",
             "--camera", "dji-phantom-3-professional", "--dem", str(work / "dem.tif"), "--endurance", "300",
-            "--most-items", "5000", "--out", str(work / "mission.plan"), "--json", str(work / "plan.json"), *more,
+            "--most-items", "5000",
+            "--out", str(work / "mission.plan"), "--json", str(work / "plan.json"), *more,
         ]  # fmt: skip
         runs = [measure(line, os.environ | {"OPENBLAS_NUM_THREADS": "1"}) for _ in range(2)]
         if any(run.code for run in runs):
@@ -131,8 +132,8 @@ def report(commands: list[Command], found: list[Timed]) -> str:
         "",
         "## Whole commands",
         "",
-        "`fieldcal plan` over a terrain model (GeoTIFF, 5 m), mission and JSON written, one core, Python's start",
-        f"included, the cheaper of two runs. Load of the machine before: {os.getloadavg()[0]:.1f} on "
+        "`fieldcal plan` over a terrain model (GeoTIFF, 5 m), mission and JSON written, one core, start of",
+        f"Python included, the cheaper of two runs. Load of the machine before: {os.getloadavg()[0]:.1f} on "
         f"{os.cpu_count()} cores; on a busy machine wall and CPU seconds are both longer.",
         "",
         "| ha | patterns | photos | CPU s | wall s | target CPU s |",

@@ -24,7 +24,7 @@ from mission.reroute import allowed_station, rerouted
 from mission.site_build import build_site
 from mission.site_file import SiteFile, checked, overlaid, read_site_file
 
-SHEET = ".html"
+SHEET, PICTURE = ".html", ".png"
 #: What the user calls the keys of a site file on the command line.
 _OPTIONS = {
     "name": "--name",
@@ -99,7 +99,8 @@ def plan(
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help=f"Write the mission, once or several times: {', '.join(SUFFIXES)}; {SHEET}: the plan sheet.",
+            help=f"Write the mission, once or several times: {', '.join(SUFFIXES)}; "
+            f"{SHEET}, {PICTURE}: the plan sheet.",
         ),
     ] = None,
     repair: Annotated[
@@ -278,6 +279,10 @@ def _deliver(planned: Planned, outputs: list[Path], how: _Delivery) -> None:
             from mission.sheet import write_sheet  # Brings the drawing library, which is slow to load.
 
             write_sheet(planned, path)
+        elif path.suffix.lower() == PICTURE:
+            from mission.sheet_png import write_picture  # The same.
+
+            write_picture(planned, path)
         elif withheld:
             continue
         else:
@@ -301,8 +306,8 @@ def _deliver(planned: Planned, outputs: list[Path], how: _Delivery) -> None:
 def _checked_outputs(out: list[Path], json_target: str | None) -> list[Path]:
     """What can be refused at once is refused before the work."""
     for path in out:
-        if path.suffix.lower() not in (*SUFFIXES, SHEET):
-            known = ", ".join([*SUFFIXES, SHEET])
+        if path.suffix.lower() not in (*SUFFIXES, SHEET, PICTURE):
+            known = ", ".join([*SUFFIXES, SHEET, PICTURE])
             raise InputError(f"{path.name}: there is no format with that ending; there are {known}.")
         check_file_writable(path)
     if json_target is not None and json_target != "-":

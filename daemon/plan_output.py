@@ -18,7 +18,8 @@ from mission.rule import Finding
 from mission.timing import minutes
 
 SCHEMA = "fieldcal.plan/1"
-_SHEET_WORDS = "plan sheet, open it in a browser"
+#: What is not a mission.
+_SHEET_WORDS = {".html": "plan sheet, open it in a browser", ".png": "plan sheet, a picture"}
 
 
 def plan_json(planned: Planned) -> dict[str, Any]:
@@ -40,7 +41,10 @@ def plan_json(planned: Planned) -> dict[str, Any]:
         "gsd_m": planned.gsd_m,
         "predicted": {
             "sigma_f_percent": _finite(prediction.sigma_f_percent),
+            "sigma_k_px": [_finite(sigma) for sigma in prediction.sigma_k_px],
+            "k1_k2_correlation": _finite(prediction.k1_k2_correlation),
             "dome_percent": _finite(prediction.dome_percent),
+            "dome_m": _finite(prediction.dome_sigma_m),
             "convergent_share": _finite(prediction.convergent_share),
             "verdict": prediction.verdict.value,
             "reason": prediction.reason,
@@ -116,7 +120,7 @@ def print_plan(planned: Planned, out: Console, written: list[Path], losses: list
     for note in (*planned.notes, *losses):
         out.print(f"Note: {note}")
     for path in written:
-        out.print(f"Wrote {path} ({SUFFIXES.get(path.suffix.lower(), _SHEET_WORDS)}).")
+        out.print(f"Wrote {path} ({(SUFFIXES | _SHEET_WORDS)[path.suffix.lower()]}).")
 
 
 def _percent(value: float) -> str:

@@ -19,6 +19,8 @@ from mission.route import Detours, Gap
 MOST_POINTS, CHECK_POINTS, LEAST_POINTS = 16, 36, 8
 #: Points of the network around the place of the extra photos, at most.
 WINDOW_POINTS = 260
+#: Around each of several places.
+WINDOW_POINTS_EACH = 140
 #: Tilts off nadir, heights over the survey's, and numbers of photos of the rings tried.
 TILTS_DEG = (20.0, 30.0, 40.0)
 HEIGHT_FACTORS = (1.0, 1.3)
@@ -27,12 +29,12 @@ PATTERN = "fix"
 
 
 class Candidates:
-    """A pool of photos over one network around ``middle_m`` (2,), growing while it is searched."""
+    """A pool of photos over one network around ``middles_m`` (k, 2), growing while it is searched."""
 
     def __init__(
         self,
         planned: PlannedNetwork,
-        middle_m: FloatArray,
+        middles_m: FloatArray,
         vehicle: Vehicle,
         gaps: Sequence[Gap],
         feasible: Callable[[Station], bool] | None,
@@ -41,9 +43,10 @@ class Candidates:
         self.planned, self.vehicle, self.most_points = planned, vehicle, most_points
         self.feasible = feasible or (lambda _: True)
         net = planned.network
-        away = np.linalg.norm(net.points_m[:, :2] - middle_m, axis=1)
-        near = np.argsort(away, kind="stable")[:WINDOW_POINTS]
-        near = np.sort(near[away[near] < 2.5 * planned.height_agl_m])
+        away = np.linalg.norm(net.points_m[:, None, :2] - middles_m, axis=2)
+        each = WINDOW_POINTS if len(middles_m) == 1 else WINDOW_POINTS_EACH
+        nearest = np.argsort(away, axis=0, kind="stable")[:each].ravel()
+        near = np.unique(nearest[away[nearest].min(axis=1) < 2.5 * planned.height_agl_m])
         self.joint: Joint = joint_covariance(net, planned.known, planned.functionals, near)
         place = np.full(len(net.points_m), -1)
         place[near] = np.arange(len(near))
