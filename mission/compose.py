@@ -68,7 +68,7 @@ def compose_with_notes(names: Sequence[str], site: Site) -> Composition:
             for piece in ordered(group, here, home):
                 waypoints += _joined(around, here, piece, part.pattern)
                 here = waypoints[-1].enu_m
-    waypoints += _way_home(site.wall_site() if parts[-1].pattern == "wall" else site, waypoints[-1])
+    waypoints += way_home(site.wall_site() if parts[-1].pattern == "wall" else site, waypoints[-1])
     vehicle = site.vehicle
     speed = _camera_speed_m_s(waypoints, vehicle.camera_interval_s)
     if speed < vehicle.speed_m_s:
@@ -122,7 +122,7 @@ def _joined(site: Site, here_m: FloatArray, piece: Piece, pattern: str) -> list[
     return joined
 
 
-def _way_home(site: Site, last: Waypoint) -> list[Waypoint]:
+def way_home(site: Site, last: Waypoint) -> list[Waypoint]:
     """Corners to fly before turning home, where the straight way is not allowed."""
     start, home = last.enu_m, np.array([0.0, 0.0, last.height_m])
     corners = site.space.route(start, home)
