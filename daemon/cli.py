@@ -42,6 +42,7 @@ def _app() -> typer.Typer:
     from daemon.cli_equifinal import equifinal
     from daemon.cli_perturb import perturb_command
     from daemon.cli_plan import plan
+    from daemon.cli_refly import refly_command
     from daemon.cli_sessions import app as sessions_app
     from daemon.cli_sim import app as sim_app
 
@@ -60,6 +61,7 @@ def _app() -> typer.Typer:
     app.add_typer(sessions_app, name="sessions")
     app.command("perturb")(perturb_command)
     app.command("plan")(plan)
+    app.command("refly")(refly_command)
     return app
 
 

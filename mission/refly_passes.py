@@ -17,6 +17,7 @@ AIM_DEG = 2.5
 #: Tilts off nadir, heights over the survey's, and numbers of photos of the circles tried.
 TILTS_DEG = (25.0, 32.0, 40.0)
 HEIGHTS = (0.8, 1.0, 1.3, 1.6)
+LOWEST, _BELOW_CEILING_M = 0.3, 0.2
 CIRCLE_PHOTOS = (4, 6, 8, 12)
 #: [C&D]'s eight convergent photos: as high as the survey, here 40 degrees off nadir.
 PAPER_PHOTOS, PAPER_TILT_DEG = 8, 40.0
@@ -48,6 +49,15 @@ def tilts_for(vehicle: Vehicle) -> tuple[float, ...]:
     return tuple(found)
 
 
+def heights_for(height_m: float, highest_agl_m: float) -> tuple[float, ...]:
+    """Heights over the survey's ``height_m``; under a low ceiling also the highest that it allows."""
+    highest = (highest_agl_m - _BELOW_CEILING_M) / height_m
+    found = [h for h in HEIGHTS if h <= highest]
+    if LOWEST <= highest < HEIGHTS[-1] and all(abs(h - highest) > 0.1 for h in found):
+        found.append(highest)
+    return tuple(found)
+
+
 def circle(
     middle_m: FloatArray,
     ground_m: float,
@@ -76,13 +86,17 @@ def circle(
 
 
 def orbits(
-    middle_m: FloatArray, ground_m: float, height_m: float, tilts_deg: tuple[float, ...]
+    middle_m: FloatArray,
+    ground_m: float,
+    height_m: float,
+    tilts_deg: tuple[float, ...],
+    heights: tuple[float, ...],
 ) -> list[Shape]:
     """Circles of all heights, tilts and numbers, the first station nearest to the launch point."""
     towards = math.degrees(math.atan2(-middle_m[0], -middle_m[1]))
     return [
         circle(middle_m, ground_m, factor * height_m, tilt, count, towards)
-        for factor in HEIGHTS
+        for factor in heights
         for tilt in tilts_deg
         for count in CIRCLE_PHOTOS
     ]
@@ -94,14 +108,18 @@ def paper_fan(middle_m: FloatArray, ground_m: float, height_m: float) -> Shape:
 
 
 def arcs(
-    middle_m: FloatArray, ground_m: float, height_m: float, tilts_deg: tuple[float, ...]
+    middle_m: FloatArray,
+    ground_m: float,
+    height_m: float,
+    tilts_deg: tuple[float, ...],
+    heights: tuple[float, ...],
 ) -> list[Shape]:
     """Parts of circles on the launch point's side, and on the other three."""
     towards = math.degrees(math.atan2(-middle_m[0], -middle_m[1]))
     return [
         circle(middle_m, ground_m, factor * height_m, tilt, count, towards + side, ARC_DEG)
         for side in (0.0, 90.0, -90.0, 180.0)
-        for factor in HEIGHTS[1:3]
+        for factor in _middle(heights)
         for tilt in tilts_deg[-2:]
         for count in (4, 6)
     ]
@@ -135,12 +153,16 @@ def strips(middle_m: FloatArray, ground_m: float, height_m: float, along_deg: fl
 
 
 def singles(
-    middle_m: FloatArray, ground_m: float, height_m: float, tilts_deg: tuple[float, ...]
+    middle_m: FloatArray,
+    ground_m: float,
+    height_m: float,
+    tilts_deg: tuple[float, ...],
+    heights: tuple[float, ...],
 ) -> list[Station]:
     """Photos on a grid of places, heights, directions and tilts that look at the ground around the middle."""
     found = []
     steps = np.arange(-2, 3) * 0.6
-    for factor in HEIGHTS[1:3]:
+    for factor in _middle(heights):
         for x in steps:
             for y in steps:
                 for tilt in tilts_deg:
@@ -155,3 +177,8 @@ def singles(
                                 Station(float(east), float(north), up, float(yaw), tilt - 90.0, PATTERN)
                             )
     return found
+
+
+def _middle(heights: tuple[float, ...]) -> tuple[float, ...]:
+    """The two heights around the survey's own, or what there is."""
+    return tuple(sorted(heights, key=lambda h: abs(math.log(h / 1.15)))[:2])

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import shapely
@@ -18,7 +18,17 @@ from mission.fixing import polish
 from mission.optimise import Choice, Criterion, Search
 from mission.plan import Station
 from mission.planned_network import PlannedNetwork
-from mission.refly_passes import Shape, arcs, orbits, paper_fan, singles, strips, tilts_for
+from mission.refly_passes import (
+    AIM_DEG,
+    Shape,
+    arcs,
+    heights_for,
+    orbits,
+    paper_fan,
+    singles,
+    strips,
+    tilts_for,
+)
 from mission.refly_route import PassDetours
 from mission.reroute import allowed_station
 from mission.route import Gap
@@ -26,6 +36,8 @@ from mission.site import Site
 
 #: The search thins each photo's points; a pass that fails with all of them is searched again, stricter.
 _ROUNDS = 4
+#: Passes of more photos are not polished: one photo more or less hardly shows in them.
+MANY_PHOTOS = 14
 
 
 @dataclass(frozen=True)
@@ -44,20 +56,27 @@ class Worth:
 class Found:
     """A pass: photos in the order in which they are flown, what it costs and what it is worth.
 
-    ``good``: the criterion holds with any one photo missing; ``ratio`` against its limits (1: just).
-    ``shape``: the regular pass that it is, None for single photos.
+    ``ratio``: f and dome against their limits with the worst photo missing (1: just good).
+    ``counted``: enough of its photos are oblique enough for the check, with one missing. ``shape``: the
+    regular pass that it is, None for single photos.
     """
 
     stations: tuple[Station, ...]
     seconds: float
     ratio: float
+    counted: bool
     worth: Worth
     shape: Shape | None
 
     @property
     def good(self) -> bool:
         """Whether it cures."""
-        return self.ratio <= 1.0
+        return self.counted and self.ratio <= 1.0
+
+    @property
+    def rank(self) -> tuple[bool, float, float]:
+        """Smaller is nearer to a cure, then shorter."""
+        return (not self.counted, max(self.ratio, 1.0), self.seconds)
 
 
 def criterion_for(planned: PlannedNetwork) -> Criterion:
@@ -109,22 +128,31 @@ class PassSearch:
         self.criterion = criterion or criterion_for(planned)
         self.middle_m = place_of_pass(planned)
         self.ground_m = site.ground_m(float(self.middle_m[0]), float(self.middle_m[1]))
-        ground = np.zeros(3)
+        self.tilts_deg = tilts_for(site.vehicle)
         allowed = feasible or allowed_station(site)
-        gaps = [Gap(ground, ground, 0)]
-        self.candidates = Candidates(planned, self.middle_m, site.vehicle, gaps, allowed)
+
+        def counts(station: Station) -> bool:
+            """Where the camera can look aside, only photos are wanted that the check counts as convergent."""
+            return not self.tilts_deg or 90.0 + station.pitch_deg >= CONVERGENT_DEG + AIM_DEG - 0.01
+
+        gaps = [Gap(np.zeros(3), np.zeros(3), 0)]
+        self.candidates = Candidates(
+            planned, self.middle_m, site.vehicle, gaps, lambda s: counts(s) and allowed(s)
+        )
         self.candidates.detours = PassDetours(site.vehicle, return_height_m)
         self.shapes: list[tuple[tuple[int, ...], Shape]] = []
-        self._worths: dict[tuple[int, ...], tuple[float, Worth]] = {}
+        self._found: dict[tuple[int, ...], Found] = {}
 
     def fill(self) -> None:
         """Put every candidate that is allowed into the pool."""
         middle, ground, height = self.middle_m, self.ground_m, self.planned.height_agl_m
-        tilts = tilts_for(self.site.vehicle)
-        if tilts:
-            self._add_shapes([*orbits(middle, ground, height, tilts), paper_fan(middle, ground, height)])
-            self._add_shapes(arcs(middle, ground, height, tilts))
-            self.candidates.add(singles(middle, ground, height, tilts))
+        if self.tilts_deg:
+            ceiling = self.site.space.ceiling_m
+            heights = heights_for(height, math.inf if ceiling is None else ceiling - ground)
+            given = (middle, ground, height, self.tilts_deg, heights)
+            self._add_shapes([*orbits(*given), paper_fan(middle, ground, height)])
+            self._add_shapes(arcs(*given))
+            self.candidates.add(singles(*given))
         else:
             along = line_direction_deg(self.planned)
             self._add_shapes(strips(middle, ground, height, along))
@@ -138,20 +166,31 @@ class PassSearch:
 
     def search(self, criterion: Criterion) -> Search:
         """A search over the pool under another criterion."""
-        return Search(
-            self.candidates.pool, self.planned.worth, self.candidates.detours, criterion
-        )
+        return Search(self.candidates.pool, self.planned.worth, self.candidates.detours, criterion)
 
     def best(self) -> Found | None:
         """The shortest pass that cures, or what comes nearest; None where no photo is allowed."""
         if not self.candidates.stations:
             return None
+        regular = self.regular("orbit", "arc", "strip")
+        if not self.tilts_deg:
+            return regular
+        found = self._cheapest()
+        if regular is not None and regular.rank < found.rank:
+            found = regular
+        return self.within_time() if found.seconds > self.most_s else found
+
+    def _cheapest(self) -> Found:
         wanted = self.criterion
         found: Found | None = None
         for _ in range(_ROUNDS):
             hunt = self.search(wanted)
-            choice = hunt.best([photos for photos, _ in self.shapes if len(photos) > 2])
-            choice = polish(self.candidates, hunt, choice, self.ground_m)
+            quick = [hunt.greedy((), by_time) for by_time in (False, True)]
+            if min(len(choice.photos) for choice in quick) > MANY_PHOTOS:
+                choice = min(quick, key=lambda c: (not c.good, c.seconds))
+            else:
+                choice = hunt.best([photos for photos, _ in self.shapes if len(photos) > 2])
+                choice = self._improved(hunt, choice)
             found = self.found(choice.photos)
             if found.good or not choice.good:
                 break
@@ -161,18 +200,23 @@ class PassSearch:
                 self.criterion.dome_percent * tighter,
                 self.criterion.least_photos,
             )
-        regular = self.regular("orbit", "arc", "strip")
-        if found is not None and regular is not None and regular.good:
-            if not found.good or regular.seconds < found.seconds - 0.05:
-                found = regular
-        if found is not None and found.seconds > self.most_s:
-            return self.within_time()
+        if found is None:
+            raise ValueError("a search needs rounds")
         return found
+
+    def _improved(self, hunt: Search, choice: Choice) -> Choice:
+        """Stations shifted, then exchanged for each other again, as long as that saves time."""
+        for _ in range(_ROUNDS):
+            before = choice.seconds
+            choice = hunt.exchange(polish(self.candidates, hunt, choice, self.ground_m))
+            if not choice.good or choice.seconds > 0.98 * before:
+                break
+        return choice
 
     def within_time(self) -> Found | None:
         """The pass worth most among those that the battery allows."""
         hunt = self.search(self.criterion)
-        best: Found | None = None
+        best = self.regular("orbit", "arc")
         for by_time in (True, False):
             choice = hunt.greedy((), by_time, self.most_s)
             photos = choice.photos
@@ -180,7 +224,7 @@ class PassSearch:
                 photos = self._without_dearest(photos)
             if photos:
                 found = self.found(photos)
-                if best is None or found.ratio < best.ratio:
+                if best is None or found.rank < best.rank:
                     best = found
         return best
 
@@ -188,27 +232,26 @@ class PassSearch:
         rests = [tuple(p for p in photos if p != one) for one in photos]
         return min(rests, key=lambda rest: (self.candidates.detours.seconds(rest), rest))
 
-    def regular(self, *kinds: str, whole: bool = False) -> Found | None:
+    def regular(self, *kinds: str, whole: bool = False, highest_m: float = math.inf) -> Found | None:
         """The shortest regular pass of these kinds that cures; where none does, the best one.
 
-        ``whole``: only if all of its photos are allowed.
+        ``whole``: only if all of its photos are allowed. ``highest_m``: above launch.
         """
         options = [
             (self.candidates.detours.seconds(photos), photos, shape)
             for photos, shape in self.shapes
-            if shape.kind in kinds and (not whole or len(photos) == len(shape.stations))
+            if shape.kind in kinds
+            and shape.height_m <= highest_m
+            and (not whole or len(photos) == len(shape.stations))
         ]
-        hunt = self.search(self.criterion)
+        hunt = self.search(replace(self.criterion, least_photos=0))
         nearest: tuple[float, tuple[int, ...]] | None = None
         for seconds, photos, _ in sorted(options, key=lambda o: (o[0], o[1])):
             if seconds > self.most_s:
                 break
             ratio = hunt.ratio(photos)
-            if ratio <= 1.05:
-                found = self.found(photos)
-                if found.good:
-                    return found
-                ratio = found.ratio
+            if ratio <= 1.05 and self.found(photos).good:
+                return self.found(photos)
             if nearest is None or ratio < nearest[0]:
                 nearest = (ratio, photos)
         return None if nearest is None else self.found(nearest[1])
@@ -216,25 +259,26 @@ class PassSearch:
     def found(self, photos: tuple[int, ...]) -> Found:
         """Photos of the pool as a pass, valued with all the points that they see."""
         photos = tuple(sorted(photos))
-        if photos not in self._worths:
-            dense = self.candidates.dense_pool(photos)
-            check = Search(dense, self.planned.worth, self.candidates.detours, self.criterion)
-            with_all = dense.combined(tuple(range(len(dense)))).head
-            q = len(self.planned.f_gradient)
-            factor = self.planned.assumptions.model_error_factor
-            worth = Worth(*self.planned.worth(with_all), factor**2 * with_all[:q, :q])
-            self._worths[photos] = (check.ratio(range(len(dense))), worth)
-        ratio, worth = self._worths[photos]
-        order = self.candidates.detours.order(photos)[0]
-        shape = next((shape for known, shape in self.shapes if known == photos), None)
-        return Found(
-            tuple(self.candidates.stations[i] for i in order),
-            self.candidates.detours.seconds(photos),
-            ratio,
-            worth,
-            shape,
-        )
+        if photos not in self._found:
+            self._found[photos] = self._valued(photos)
+        return self._found[photos]
 
-    def nothing_added(self) -> Choice:
-        """The network as it is."""
-        return self.search(Criterion()).choice(())
+    def _valued(self, photos: tuple[int, ...]) -> Found:
+        candidates, planned = self.candidates, self.planned
+        dense = candidates.dense_pool(photos)
+        without_count = replace(self.criterion, least_photos=0)
+        check = Search(dense, planned.worth, candidates.detours, without_count)
+        with_all = dense.combined(tuple(range(len(dense)))).head
+        q, factor = len(planned.f_gradient), planned.assumptions.model_error_factor
+        order = candidates.detours.order(photos)[0]
+        oblique = sum(
+            90.0 + candidates.stations[i].pitch_deg >= CONVERGENT_DEG + AIM_DEG - 0.01 for i in photos
+        )
+        return Found(
+            tuple(candidates.stations[i] for i in order),
+            candidates.detours.seconds(photos),
+            check.ratio(range(len(dense))),
+            oblique >= self.criterion.least_photos,
+            Worth(*planned.worth(with_all), factor**2 * with_all[:q, :q]),
+            next((shape for known, shape in self.shapes if known == photos), None),
+        )

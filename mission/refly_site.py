@@ -169,6 +169,4 @@ def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
         attitude_sigma_deg=math.degrees(np.median(rotation)) if len(rotation) else _ATTITUDE_SIGMA_DEG,
         model_error_factor=MODEL_ERROR_FACTOR * min(lost, _MOST_LOST),
     )
-    return PlannedNetwork(
-        flown.network, known, functionals, gradient[free], check.height_agl_m, assumptions
-    )
+    return PlannedNetwork(flown.network, known, functionals, gradient[free], check.height_agl_m, assumptions)
