@@ -82,7 +82,7 @@ def flown_network(block: Calibrated, correlation_factor: float) -> FlownNetwork:
 
 
 def _even_part(points_m: FloatArray, photo: IntArray, point: IntArray, n_photos: int) -> np.ndarray:
-    """Which points (m,) stay: every n-th along a path that goes through all the ground, and what photos need."""
+    """Which points (m,) stay: every n-th along a way over all the ground, and what photos need."""
     present = np.unique(point)
     most = VIEWS_PER_PHOTO * n_photos
     chosen = np.zeros(len(points_m), bool)

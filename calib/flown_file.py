@@ -12,7 +12,7 @@ import zipfile
 import zlib
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated, Final, Literal
 
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
@@ -26,7 +26,7 @@ from calib.network_design import CameraNetwork, Known
 from calib.result import CheckResult
 
 NETWORK_FILE = "network.npz"
-SCHEMA = "fieldcal.network/1"
+SCHEMA: Final = "fieldcal.network/1"
 #: No network is larger, packed or unpacked; a larger file is something else, or meant to harm.
 _LARGEST_BYTES, _LARGEST_UNPACKED = 100_000_000, 1_000_000_000
 #: Shapes by name: k photos, m points, n views.

@@ -121,7 +121,8 @@ def refly(flown: FlownSite) -> Refly:
         text = f"There is no pass that may be flown here. {limit}"
         return Refly(flown, None, None, text, limit, (Alternative(WALL, None),), (), flown.notes, helps=True)
     seconds = found.seconds if plan is None else timing(plan, site.wind).duration_s
-    text, limit = reason(check, found, seconds), None
+    text = reason(check, found, seconds)
+    limit: str | None = None
     if not found.good:
         limit = binding_limit(flown, search, return_m) or short_of(
             found, check.flown.tie_points_per_photo, check.flown.noise_px
@@ -193,7 +194,8 @@ def binding_limit(flown: FlownSite, search: PassSearch, return_m: float) -> str 
         if cure_s is not None:
             return (
                 f"The battery binds: the shortest cure takes about {time_words(cure_s)}, and "
-                f"{time_words(_most_s(site))} may be flown ({100 * site.vehicle.reserve_share:.0f} % are kept)."
+                f"{time_words(_most_s(site))} may be flown "
+                f"({100 * site.vehicle.reserve_share:.0f} % are kept)."
             )
     for words, freed in _freed(site):
         other = PassSearch(flown.planned, freed, return_m, math.inf, search.criterion)
@@ -219,8 +221,8 @@ def _freed(site: Site) -> Iterator[tuple[str, Site]]:
     low, high = vehicle.gimbal_lowest_deg, vehicle.gimbal_highest_deg
     if high < -50.0 or low > -65.0:
         yield (
-            f"The gimbal binds: it reaches {low:g} to {high:g} degrees, and photos 20 to 45 degrees off nadir "
-            "are what is missing.",
+            f"The gimbal binds: it reaches {low:g} to {high:g} degrees, and photos 20 to 45 degrees off "
+            "nadir are what is missing.",
             replace(site, vehicle=replace(vehicle, gimbal_lowest_deg=-90.0, gimbal_highest_deg=0.0)),
         )
     if space.ceiling_m is not None:

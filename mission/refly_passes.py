@@ -17,6 +17,9 @@ AIM_DEG = 2.5
 #: Tilts off nadir, heights over the survey's, and numbers of photos of the circles tried.
 TILTS_DEG = (25.0, 32.0, 40.0)
 HEIGHTS = (0.8, 1.0, 1.3, 1.6)
+#: From much nearer than the survey its photos match badly (and climbing would be all that counts); flatter
+#: views do, too.
+LEAST_HEIGHT, MOST_TILT_DEG = 0.8, 42.5
 LOWEST, _BELOW_CEILING_M = 0.3, 0.2
 CIRCLE_PHOTOS = (4, 6, 8, 12)
 #: [C&D]'s eight convergent photos: as high as the survey, here 40 degrees off nadir.
@@ -67,7 +70,7 @@ def circle(
     first_deg: float = 0.0,
     arc_deg: float = 360.0,
 ) -> Shape:
-    """Photos on a circle, or a part of it in the middle of which azimuth ``first_deg`` lies, that look inwards."""
+    """Photos on a circle that look inwards; of an arc, ``first_deg`` is the azimuth of its middle."""
     radius = height_agl_m * math.tan(math.radians(tilt_deg))
     whole = arc_deg >= 360.0
     steps = np.arange(photos) / photos * 360.0 if whole else np.linspace(-0.5, 0.5, photos) * arc_deg

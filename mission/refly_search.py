@@ -20,6 +20,8 @@ from mission.plan import Station
 from mission.planned_network import PlannedNetwork
 from mission.refly_passes import (
     AIM_DEG,
+    LEAST_HEIGHT,
+    MOST_TILT_DEG,
     Shape,
     arcs,
     heights_for,
@@ -131,9 +133,22 @@ class PassSearch:
         self.tilts_deg = tilts_for(site.vehicle)
         allowed = feasible or allowed_station(site)
 
+        ceiling = site.space.ceiling_m
+        self.heights = heights_for(
+            planned.height_agl_m, math.inf if ceiling is None else ceiling - self.ground_m
+        )
+        lowest_m = 0.97 * min((*self.heights, LEAST_HEIGHT)) * planned.height_agl_m
+
         def counts(station: Station) -> bool:
-            """Where the camera can look aside, only photos are wanted that the check counts as convergent."""
-            return not self.tilts_deg or 90.0 + station.pitch_deg >= CONVERGENT_DEG + AIM_DEG - 0.01
+            """Whether the check counts it as convergent (where the camera can look aside), and the survey's
+            photos will match it: not from much nearer, not too flatly."""
+            tilt = 90.0 + station.pitch_deg
+            if not self.tilts_deg:
+                return True
+            return (
+                CONVERGENT_DEG + AIM_DEG - 0.01 <= tilt <= MOST_TILT_DEG
+                and station.height_m - self.ground_m >= lowest_m
+            )
 
         gaps = [Gap(np.zeros(3), np.zeros(3), 0)]
         self.candidates = Candidates(
@@ -147,9 +162,7 @@ class PassSearch:
         """Put every candidate that is allowed into the pool."""
         middle, ground, height = self.middle_m, self.ground_m, self.planned.height_agl_m
         if self.tilts_deg:
-            ceiling = self.site.space.ceiling_m
-            heights = heights_for(height, math.inf if ceiling is None else ceiling - ground)
-            given = (middle, ground, height, self.tilts_deg, heights)
+            given = (middle, ground, height, self.tilts_deg, self.heights)
             self._add_shapes([*orbits(*given), paper_fan(middle, ground, height)])
             self._add_shapes(arcs(*given))
             self.candidates.add(singles(*given))

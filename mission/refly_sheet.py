@@ -87,7 +87,7 @@ def _numbers(pass_: Refly) -> str:
 
 
 def _by_hand(pass_: Refly) -> str:
-    """Every photo as a pilot finds it: which way and how far from the launch point, how high, where to look."""
+    """Every photo as a pilot finds it: how far and which way from the launch point, how high, its aim."""
     if pass_.found is None:
         return ""
     stations = pass_.found.stations
@@ -106,8 +106,8 @@ def _by_hand(pass_: Refly) -> str:
         '<section aria-labelledby="hand"><h2 id="hand">To fly by hand</h2>'
         f'<table class="fly"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
         "<p>Heights are above the launch point, bearings and headings clockwise from true north; gimbal -90° "
-        "looks straight down. Stand still for each photo. Some metres and degrees do not matter. Keep zoom and "
-        "focus as they are. Then check the old and the new photos together: "
+        "looks straight down. Stand still for each photo. Some metres and degrees do not matter. Keep zoom "
+        "and focus as they are. Then check the old and the new photos together: "
         "<code>fieldcal check OLD NEW</code>.</p></section>"
     )
 
@@ -170,7 +170,8 @@ def _pictures(pass_: Refly) -> str:
             continue
         data = figure.to_json().replace("<", "\\u003c")
         parts.append(
-            f'<figure><h3>{title}</h3><div class="plot" id="plot{number}" role="img" aria-label="{title}"></div>'
+            f'<figure><h3>{title}</h3><div class="plot" id="plot{number}" role="img" '
+            f'aria-label="{title}"></div>'
             f"<figcaption>{sentence(caption)}</figcaption>"
             f'<script type="application/json" data-plot="plot{number}">{data}</script></figure>'
         )

@@ -93,8 +93,8 @@ def flown_site(check: FlownCheck, keys: SiteFile, name: str = "refly") -> FlownS
     if check.origin_wgs84 is None:
         why = f" {check.geotag_fault}" if check.geotag_fault else ""
         raise InputError(
-            f"The photos' positions do not say where this block lies, so no stations can be given for it.{why} "
-            "Fly a circle by hand as the report says under What to fly."
+            "The photos' positions do not say where this block lies, so no stations can be given for "
+            f"it.{why} Fly  a circle by hand as the report says under What to fly."
         )
     own = LocalFrame(*check.origin_wgs84)
     net = check.flown.network
@@ -109,8 +109,8 @@ def flown_site(check: FlownCheck, keys: SiteFile, name: str = "refly") -> FlownS
     away = float(np.linalg.norm(net.centres_m[:, :2] - at[:2], axis=1).min())
     if not away < _FARTHEST_LAUNCH_M:
         raise InputError(
-            f"The launch point {latitude:.6f}, {longitude:.6f} is {away / 1000:.1f} km from the nearest photo; "
-            "is it right?"
+            f"The launch point {latitude:.6f}, {longitude:.6f} is {away / 1000:.1f} km from the nearest "
+            "photo; is it right?"
         )
     up = _launch_up_m(check, at, notes, keys.launch is not None)
     launch = LocalFrame(latitude, longitude, own.altitude_m + up)

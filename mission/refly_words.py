@@ -10,9 +10,9 @@ from mission.refly_search import Found
 from mission.timing import minutes
 
 WALL = (
-    "From the ground, without flying: photograph a flat, textured wall by hand from about 10 m, 10 to 15 pairs "
-    "of photos that meet on it at 45 degrees from either side, check them on their own and keep them with "
-    "--save-reference; then check the survey against that reference."
+    "From the ground, without flying: photograph a flat, textured wall by hand from about 10 m, 10 to 15 "
+    "pairs of photos that meet on it at 45 degrees from either side, check them on their own and keep them "
+    "with --save-reference; then check the survey against that reference."
 )
 
 
@@ -92,12 +92,12 @@ def why_no_pass(check: FlownCheck, strong: bool) -> str | None:
         rule = "model-sensitivity" if "model-sensitivity" in flagged else "cross-validation"
         return (
             f"The photos' geometry is not at fault, so more of it does not help. {flagged[rule]} "
-            "Look for blurred photos, moving water or leaves, and a zoom or focus that moved during the flight."
+            "Look for blurred photos, moving water or leaves, and a zoom or focus that moved in flight."
         )
     if "coverage" in flagged:
         return (
-            f"Convergent photos are not what is missing. {flagged['coverage']} Fly the survey again with more "
-            "overlap, over ground that shows texture up to the edges of the photos."
+            f"Convergent photos are not what is missing. {flagged['coverage']} Fly the survey again with "
+            "more overlap, over ground that shows texture up to the edges of the photos."
         )
     return f"More photos are not what is missing: {known}. {check.headline}"
 
@@ -116,8 +116,8 @@ def short_of(found: Found, tie_points: float, noise_px: float) -> str:
     """Why the best pass does not do where no limit forbids a better one."""
     return (
         f"Not a limit but the survey itself: with {tie_points:.0f} tie points a photo, measured to "
-        f"{noise_px:.1f} px, even {len(found.stations)} more photos leave {found.ratio:.1f} times what is asked "
-        "for when one of them fails. Fly the survey again with more overlap, or calibrate on a wall."
+        f"{noise_px:.1f} px, even {len(found.stations)} more photos leave {found.ratio:.1f} times what is "
+        "asked for when one of them fails. Fly the survey again with more overlap, or calibrate on a wall."
     )
 
 
