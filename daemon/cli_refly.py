@@ -69,8 +69,8 @@ def refly_command(
     outputs = out or []
     for path in outputs:
         if path.suffix.lower() not in (*SUFFIXES, SHEET):
-            known = ", ".join([*SUFFIXES, SHEET])
-            raise InputError(f"{path.name}: there is no format with that ending; there are {known}.")
+            endings = ", ".join([*SUFFIXES, SHEET])
+            raise InputError(f"{path.name}: there is no format with that ending; there are {endings}.")
         check_file_writable(path)
     if json_target is not None and json_target != "-":
         check_file_writable(Path(json_target))

@@ -117,9 +117,9 @@ def refly(flown: FlownSite) -> Refly:
         search.most_s = min(search.most_s, found.seconds) / (1.01 * over)
         found = search.best()
     if found is None:
-        limit = binding_limit(flown, search, return_m) or "No photo is allowed where it would help."
-        text = f"There is no pass that may be flown here. {limit}"
-        return Refly(flown, None, None, text, limit, (Alternative(WALL, None),), (), flown.notes, helps=True)
+        none = binding_limit(flown, search, return_m) or "No photo is allowed where it would help."
+        text = f"There is no pass that may be flown here. {none}"
+        return Refly(flown, None, None, text, none, (Alternative(WALL, None),), (), flown.notes, helps=True)
     seconds = found.seconds if plan is None else timing(plan, site.wind).duration_s
     text = reason(check, found, seconds)
     limit: str | None = None
