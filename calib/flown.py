@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
@@ -61,24 +61,31 @@ def flown_network(block: Calibrated, correlation_factor: float) -> FlownNetwork:
     good = adjusted.weights > _LEAST_WEIGHT
     counts = np.bincount(obs.point[good], minlength=len(state.points_m))
     good &= counts[obs.point] >= 2
-    photo, point = obs.photo[good], obs.point[good]
-    chosen = _even_part(state.points_m, photo, point, len(state.centres_m))
+    priors = adjustment.priors
+    known = Known(priors.centre_sigma_m, priors.rotation_sigma_rad, priors.lens_sigma, adjusted.free)
+    views = CameraNetwork(
+        state.lens, state.rotations, state.centres_m, state.points_m, obs.photo[good], obs.point[good],
+        np.full(int(good.sum()), noise),
+    )  # fmt: skip
+    return thinned(views, known, noise)
+
+
+def thinned(full: CameraNetwork, known: Known, noise_px: float) -> FlownNetwork:
+    """An even part of a network's points, standing for all of them; points without views are left out."""
+    photo, point = full.photo, full.point
+    chosen = _even_part(full.points_m, photo, point, len(full.centres_m))
     used = chosen[point]
     old, renumbered = np.unique(point[used], return_inverse=True)
     stands_for = len(np.unique(point)) / len(old)
-    priors = adjustment.priors
-    seen = seen_points(state.lens.brown, state.rotations, state.centres_m, state.points_m[old])[0]
-    network = CameraNetwork(
-        lens=state.lens,
-        rotations=state.rotations,
-        centres_m=state.centres_m,
-        points_m=state.points_m[old],
+    seen = seen_points(full.lens.brown, full.rotations, full.centres_m, full.points_m[old])[0]
+    network = replace(
+        full,
+        points_m=full.points_m[old],
         photo=photo[used],
         point=renumbered,
-        sigma_px=np.full(int(used.sum()), noise / np.sqrt(stands_for)),
+        sigma_px=np.full(int(used.sum()), noise_px / np.sqrt(stands_for)),
     )
-    known = Known(priors.centre_sigma_m, priors.rotation_sigma_rad, priors.lens_sigma, adjusted.free)
-    return FlownNetwork(network, known, noise, stands_for, min(len(renumbered) / max(len(seen), 1), 1.0))
+    return FlownNetwork(network, known, noise_px, stands_for, min(len(renumbered) / max(len(seen), 1), 1.0))
 
 
 def _even_part(points_m: FloatArray, photo: IntArray, point: IntArray, n_photos: int) -> np.ndarray:
