@@ -10,6 +10,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from itertools import combinations, starmap
 
 import numpy as np
 
@@ -60,11 +61,17 @@ class Choice:
         return self.ratio <= 1.0
 
 
+def _never(one: int, other: int) -> bool:
+    del one, other
+    return False
+
+
 class Search:
     """Chooses photos of a pool.
 
     Args:
         worth: covariance of lens and functionals -> (sigma f, dome sigma) in percent.
+        alike: two photos of the pool of which a choice takes only one; None: there are none.
     """
 
     def __init__(
@@ -73,7 +80,9 @@ class Search:
         worth: Callable[[FloatArray], tuple[float, float]],
         detours: Detours,
         criterion: Criterion,
+        alike: Callable[[int, int], bool] | None = None,
     ) -> None:
+        self.alike = alike or _never
         self.pool, self.worth, self.detours, self.criterion = pool, worth, detours, criterion
         self._known: dict[tuple[int, ...], float] = {}
         self._singles: dict[int, float] = {}
@@ -82,7 +91,7 @@ class Search:
         """The criterion's ratio with the worst photo missing; infinite with too few of them."""
         key = tuple(sorted(photos))
         if key not in self._known:
-            if len(key) < self.criterion.least_photos:
+            if len(key) < self.criterion.least_photos or any(starmap(self.alike, combinations(key, 2))):
                 worst = math.inf
             elif not key:
                 worst = self._one_ratio(self.pool.joint.head)
@@ -107,7 +116,7 @@ class Search:
         """
         chosen = list(start)
         joint = self._joint(chosen)
-        left = [i for i in range(len(self.pool)) if i not in chosen]
+        left = [i for i in range(len(self.pool)) if i not in chosen and not self._taken(i, chosen)]
         while left and len(chosen) < MOST_ADDED and self.detours.seconds(chosen) <= most_s:
             now = self._one_ratio(joint.head)
             # With a photo missing it is worse still.
@@ -119,8 +128,12 @@ class Search:
             # What helps little now helps little later: information of more photos only overlaps.
             left = sorted(left, key=lambda i: (-gain[i], i))[:SHORT_LIST]
             chosen.append(left.pop(0))
+            left = [i for i in left if not self.alike(i, chosen[-1])]
             joint = joint.with_photo(self.pool.rows[chosen[-1]])
         return self.choice(chosen)
+
+    def _taken(self, i: int, chosen: Sequence[int]) -> bool:
+        return any(self.alike(i, one) for one in chosen)
 
     def _with_one(self, joint: Joint, i: int) -> float:
         return self._one_ratio(joint.head_with(self.pool.rows[i]))
@@ -172,7 +185,7 @@ class Search:
             joint = with_all.without_photo(self.pool.rows[one])
             tried = 0
             for i in cheaper[:_LOOKED_AT]:
-                if self._with_one(joint, i) > 1.0:
+                if self._taken(i, rest) or self._with_one(joint, i) > 1.0:
                     continue
                 found = self.choice((*rest, i))
                 if found.good and found.seconds < choice.seconds - 0.05:

@@ -40,6 +40,8 @@ from mission.site import Site
 _ROUNDS = 4
 #: Passes of more photos are not polished: one photo more or less hardly shows in them.
 MANY_PHOTOS = 14
+#: Least distance, in flying heights, between photos whose axes differ by less than this.
+APART, APART_DEG = 0.18, 15.0
 
 
 @dataclass(frozen=True)
@@ -170,6 +172,17 @@ class PassSearch:
             along = line_direction_deg(self.planned)
             self._add_shapes(strips(middle, ground, height, along))
 
+    def alike(self, one: int, other: int) -> bool:
+        """Whether two candidates look the same way from nearly the same place: one fault would spoil both."""
+        a, b = self.candidates.stations[one], self.candidates.stations[other]
+        here, there = (a.east_m, a.north_m, a.height_m), (b.east_m, b.north_m, b.height_m)
+        if math.dist(here, there) >= APART * self.planned.height_agl_m:
+            return False
+        lean, other_lean = math.radians(90.0 + a.pitch_deg), math.radians(90.0 + b.pitch_deg)
+        turn = math.cos(math.radians(a.yaw_deg - b.yaw_deg))
+        cosine = math.sin(lean) * math.sin(other_lean) * turn + math.cos(lean) * math.cos(other_lean)
+        return cosine > math.cos(math.radians(APART_DEG))
+
     def _add_shapes(self, shapes: list[Shape]) -> None:
         for shape in shapes:
             kept = [i for i in self.candidates.add(shape.stations) if i is not None]
@@ -179,7 +192,9 @@ class PassSearch:
 
     def search(self, criterion: Criterion) -> Search:
         """A search over the pool under another criterion."""
-        return Search(self.candidates.pool, self.planned.worth, self.candidates.detours, criterion)
+        return Search(
+            self.candidates.pool, self.planned.worth, self.candidates.detours, criterion, self.alike
+        )
 
     def best(self) -> Found | None:
         """The shortest pass that cures, or what comes nearest; None where no photo is allowed."""

@@ -21,9 +21,9 @@ from mission.rule import Finding
 
 _OPEN = '<path d="M12 6v7.5M12 17.2v.4"/>'
 _EXTRA_CSS = """
-table.fly { width: 100%; font-variant-numeric: tabular-nums; }
-table.fly td, table.fly th { text-align: right; padding-right: .6rem; }
-table.fly td:last-child { text-align: left; }
+table.stations { width: 100%; font-variant-numeric: tabular-nums; }
+table.stations td, table.stations th { text-align: right; padding-right: .6rem; }
+table.stations td:last-child { text-align: left; }
 """
 
 
@@ -104,7 +104,7 @@ def _by_hand(pass_: Refly) -> str:
     head = "".join(f'<th scope="col">{name}</th>' for name in heads)
     return (
         '<section aria-labelledby="hand"><h2 id="hand">To fly by hand</h2>'
-        f'<table class="fly"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
+        f'<table class="stations"><thead><tr>{head}</tr></thead><tbody>{"".join(rows)}</tbody></table>'
         "<p>Heights are above the launch point, bearings and headings clockwise from true north; gimbal -90° "
         "looks straight down. Stand still for each photo. Some metres and degrees do not matter. Keep zoom "
         "and focus as they are. Then check the old and the new photos together: "

@@ -88,10 +88,9 @@ def test_a_damaged_network_is_refused_or_whole(
     path.write_bytes(bytes(data))
     try:
         again = read_network(path)
-    except FormatError as error:
-        assert "damaged" in str(error)
-    else:
-        assert len(again.photos) == len(again.flown.network.centres_m)
+    except FormatError:
+        return  # Refused in one sentence.
+    assert len(again.photos) == len(again.flown.network.centres_m)
 
 
 def _small_network() -> bytes:
