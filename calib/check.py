@@ -100,6 +100,7 @@ def conclude(
         what_to_fly=None,
         left_out=left_out,
         timing=timing,
+        flown=outcome.flown,
     )
 
 

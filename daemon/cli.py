@@ -39,6 +39,7 @@ _COMMANDS = {
     "check": ("daemon.cli_check", "check"),
     "run": ("daemon.cli_run", "run_command"),
     "plan": ("daemon.cli_plan", "plan"),
+    "refly": ("daemon.cli_refly", "refly_command"),
     "upload": ("daemon.cli_upload", "upload"),
     "status": ("daemon.cli_status", "status"),
     "sessions": ("daemon.cli_sessions", "app"),

@@ -11,6 +11,7 @@ import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
+from itertools import combinations, starmap
 
 import numpy as np
 
@@ -108,16 +109,32 @@ class Worths:
         return self._joints[photos]
 
 
-class Search:
-    """Chooses photos of a pool."""
+def _never(one: int, other: int) -> bool:
+    del one, other
+    return False
 
-    def __init__(self, worths: Worths, detours: Detours, criterion: Criterion) -> None:
+
+class Search:
+    """Chooses photos of a pool.
+
+    Args:
+        alike: two photos of the pool of which a choice takes only one; None: there are none.
+    """
+
+    def __init__(
+        self,
+        worths: Worths,
+        detours: Detours,
+        criterion: Criterion,
+        alike: Callable[[int, int], bool] | None = None,
+    ) -> None:
+        self.alike = alike or _never
         self.worths, self.pool, self.detours, self.criterion = worths, worths.pool, detours, criterion
 
     def ratio(self, photos: Sequence[int]) -> float:
         """The criterion's ratio with the worst photo missing; infinite with too few of them."""
         key = tuple(sorted(photos))
-        if len(key) < self.criterion.least_photos:
+        if len(key) < self.criterion.least_photos or any(starmap(self.alike, combinations(key, 2))):
             return math.inf
         return self.criterion.ratio(self.worths.worst(key))
 
@@ -136,7 +153,7 @@ class Search:
         """
         chosen = list(start)
         now = self._one_ratio(self.worths.joint(tuple(chosen)).head)
-        left = [i for i in range(len(self.pool)) if i not in chosen]
+        left = [i for i in range(len(self.pool)) if i not in chosen and not self._taken(i, chosen)]
         while left and len(chosen) < MOST_ADDED and self.detours.seconds(chosen) <= most_s:
             # With a photo missing it is worse still.
             if now <= 1.0 and self.ratio(chosen) <= 1.0:
@@ -147,8 +164,12 @@ class Search:
             # What helps little now helps little later: information of more photos only overlaps.
             left = sorted(left, key=lambda i: (-gain[i], i))[:SHORT_LIST]
             chosen.append(left.pop(0))
+            left = [i for i in left if not self.alike(i, chosen[-1])]
             now = after[chosen[-1]]
         return self.choice(chosen)
+
+    def _taken(self, i: int, chosen: Sequence[int]) -> bool:
+        return any(self.alike(i, one) for one in chosen)
 
     def _with_one(self, photos: tuple[int, ...], i: int, joint: Callable[[], Joint] | None = None) -> float:
         """The ratio with one photo more, none missing."""
@@ -187,7 +208,7 @@ class Search:
                 continue
             tried = 0
             for i in cheaper[:_LOOKED_AT]:
-                if self.hopeless(choice.photos, one, i):
+                if self._taken(i, rest) or self.hopeless(choice.photos, one, i):
                     continue
                 if self.detours.seconds((*rest, i)) < choice.seconds - 0.05:
                     found = self.choice((*rest, i))

@@ -28,6 +28,7 @@ from calib.align.uncertainty import estimate
 from calib.camera import FloatArray
 from calib.errors import AlignmentError, FieldcalError
 from calib.field import Lens
+from calib.flown import FlownNetwork, flown_network
 from calib.photos.photo import Photo
 from calib.solution import Dome, Estimate, Network, Solution
 
@@ -60,6 +61,7 @@ class Outcome:
     estimate: Estimate
     network: Network
     dome: Dome
+    flown: FlownNetwork
     flatness: Flatness | None = None
 
 
@@ -106,7 +108,8 @@ def measured(
     )
     height = float(np.median(network.height_agl_m))
     dome = predict_dome(calibrated, honest.lens_covariance, reference, height, tick, reference_covariance)
-    return Outcome(solution, honest, network, dome)
+    flown = flown_network(calibrated, honest.correlation_factor)
+    return Outcome(solution, honest, network, dome, flown)
 
 
 def _child(job: Job, pipe: Connection) -> None:
