@@ -131,7 +131,9 @@ def _exhaustive(search: Search, count: int) -> float | None:
     With any one photo missing it holds where it holds for every subset of one photo less.
     """
     single = replace(search.criterion, least_photos=0)
-    holds = {(): single.ratio(search.worths.worth(search.pool.joint.head)) <= 1.0}
+    holds: dict[tuple[int, ...], bool] = {
+        (): single.ratio(search.worths.worth(search.pool.joint.head)) <= 1.0
+    }
     least: float | None = None
     for n in range(1, count + 1):
         for subset in combinations(range(count), n):
