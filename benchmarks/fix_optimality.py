@@ -18,7 +18,7 @@ import numpy as np
 
 from calib.frames import LocalFrame
 from mission.candidates import Candidates, single_stations
-from mission.optimise import Choice, Criterion, Search
+from mission.optimise import Choice, Criterion, Search, Worths
 from mission.plan import Plan, Shot, Vehicle, Waypoint, stations
 from mission.planned_network import Assumptions, planned_network
 from mission.route import plan_gaps
@@ -77,14 +77,14 @@ def outcome(seed: int, count: int = STATIONS) -> Outcome:
     assumed = replace(Assumptions(), tie_points_per_photo=float(rng.uniform(500, 1500)))
     planned = planned_network(stations(plan), plan.camera, LevelGround(), assumed)
     middle = np.zeros(2)
-    candidates = Candidates(planned, middle, plan.vehicle, plan_gaps(plan), None)
+    candidates = Candidates(planned, middle[None], plan.vehicle, plan_gaps(plan), None)
     grid = single_stations(middle, 0.0, planned.height_agl_m)
     picked = [grid[i] for i in rng.choice(len(grid), 3 * count, replace=False)]
     candidates.add(picked)
     del candidates.pool.rows[count:], candidates.stations[count:]
     candidates.detours.keep(count)
     started = time.process_time()
-    search = Search(candidates.pool, planned.worth, candidates.detours, Criterion())
+    search = Search(Worths(candidates.pool, planned.worth), candidates.detours, Criterion())
     chosen = search.best()
     search_s = time.process_time() - started
     return Outcome(len(stations(plan)), chosen, *_exhaustive(search, count), search_s)
@@ -95,7 +95,8 @@ def _exhaustive(search: Search, count: int) -> tuple[int | None, float | None]:
 
     With any one photo missing the criterion holds where it holds for every subset of one photo less.
     """
-    alone: dict[tuple[int, ...], float] = {(): search.criterion.ratio(search.worth(search.pool.joint.head))}
+    worth = search.worths.worth
+    alone: dict[tuple[int, ...], float] = {(): search.criterion.ratio(worth(search.pool.joint.head))}
     least: int | None = None
     seconds: float | None = None
     for n in range(1, count + 1):
@@ -110,7 +111,7 @@ def _exhaustive(search: Search, count: int) -> tuple[int | None, float | None]:
                 alone[subset] = 1.0
             else:
                 head = search.pool.combined(subset).head
-                alone[subset] = search.criterion.ratio(search.worth(head))
+                alone[subset] = search.criterion.ratio(worth(head))
     return least, seconds
 
 

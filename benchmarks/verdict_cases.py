@@ -74,7 +74,7 @@ POINTS = {
     "gently oblique 10°": 800,
 }
 #: The papers' flights, where TRUST is asked for, with as many as an alignment of photos has.
-PAPERS_POINTS = {"A1": 800, "A2": 600, "A3": 2500, "A4": 1600}
+PAPERS_POINTS = {"A1": 800, "A2": 600, "A3": 3300, "A4": 1600}
 
 
 @dataclass(frozen=True)

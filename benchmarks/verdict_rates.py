@@ -8,10 +8,15 @@ from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from scipy.special import ndtr
 
 from benchmarks.campaign import wilson
 from benchmarks.verdict_score import NO_RESULT, Score
+from benchmarks.verdict_world import reference_sigma_f_percent
+from calib.limits import FOCAL_LIMIT_PERCENT, Z95
 
+#: Probability of an ideal decision from which on one may be asked for.
+CLEAR = 0.9
 VERDICTS = ("TRUST", "REFLY", "CANNOT_TELL", NO_RESULT)
 
 
@@ -69,6 +74,31 @@ def false_refly(scores: Sequence[Score]) -> Rate:
 def cannot_tell(scores: Sequence[Score]) -> Rate:
     """CANNOT_TELL, of the flights where a verdict may be asked for."""
     return rate(scores, lambda s: s.verdict == "CANNOT_TELL", lambda s: s.should_tell)
+
+
+def settled(one: Score) -> float:
+    """Probability that an ideal adjustment settles the 0.1 % rule against this reference.
+
+    It finds f with ``ideal_sigma_percent`` and knows what the reference is worth: near the limit, or
+    with a sigma near the largest that can decide at all, nobody settles it at 95 %.
+    """
+    if one.case.reference == "none" or not math.isfinite(one.ideal_sigma_percent):
+        return 0.0
+    drift, own = -one.ref_df_percent, one.ideal_sigma_percent
+    reach = Z95 * math.hypot(own, reference_sigma_f_percent(one.case.lens, one.case.reference))
+    inside, outside = FOCAL_LIMIT_PERCENT - reach, FOCAL_LIMIT_PERCENT + reach
+    within = max(float(ndtr((inside - drift) / own) - ndtr((-inside - drift) / own)), 0.0)
+    return within + float(ndtr((-outside - drift) / own) + ndtr((drift - outside) / own))
+
+
+def cannot_tell_though_clear(scores: Sequence[Score]) -> Rate:
+    """CANNOT_TELL, of the flights where an ideal adjustment settles the 0.1 % rule in nine of ten."""
+    return rate(scores, lambda s: s.verdict == "CANNOT_TELL", lambda s: s.should_tell and settled(s) >= CLEAR)
+
+
+def open_at_best(scores: Sequence[Score]) -> float:
+    """How many flights an ideal adjustment would be expected to leave open where f can be fixed."""
+    return sum(1 - settled(s) for s in scores if s.should_tell)
 
 
 def dome_rate(scores: Iterable[Score], least_percent: float = 0.0) -> Rate:

@@ -10,8 +10,11 @@ What a verdict asserts, and hence when it is false:
   within 0.1 % in f and dome, the camera truly agrees with the reference, *and* these photos can fix
   f: an adjustment that knows all that disturbs the flight would know f as well as the check demands
   (``focal-sigma``). A lucky value from photos that cannot fix f does not make REFLY false.
-* CANNOT_TELL is no error, but too much of it is no use: it is counted where these photos can fix f
-  and a reference is there.
+* CANNOT_TELL is no error, but too much of it is no use: it is counted where a reference is there and an
+  ideal adjustment, one that knows what disturbs the flight, would settle the 0.1 % rule against this
+  reference in nine of ten such flights. Where the camera is 0.08 % off, or the best possible sigma is
+  0.045 %, nobody settles it at 95 %; beside it stands the count over all flights whose sigma could be
+  0.051 % or less, with what an ideal adjustment would leave open of them.
 """
 
 from __future__ import annotations

@@ -167,6 +167,15 @@ def site_covariance(lens_name: str) -> FloatArray:
     return calibrate_block(block, 1.01 * camera.f_px, 0).adjusted.covariance
 
 
+@lru_cache(maxsize=32)
+def reference_sigma_f_percent(lens_name: str, reference: str) -> float:
+    """Standard deviation of f that the check gives the references of :func:`reference_of`."""
+    camera = nominal_camera(lens_name)
+    to_brown = fit_brown(Lens(camera))[1][0]
+    own = float(np.sqrt(to_brown @ site_covariance(lens_name) @ to_brown)) / camera.f_px
+    return 100 * float(np.hypot(own, OTHER_BODY_SIGMA_F if reference == "wrong body" else 0.0))
+
+
 def reference_of(case: Case, block: SimBlock) -> TrueReference:
     """A calibration on site, wrong by what its own covariance says, and on top what the case asks for."""
     if case.reference == "none":

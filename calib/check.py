@@ -16,6 +16,7 @@ from calib.judge import judge
 from calib.photos import LeftOut, Photo, Sorted, read_photos, require_block, sort_photos
 from calib.photos.collect import collect
 from calib.reference import Reference
+from calib.reference_history import condition
 from calib.reference_match import match_reference
 from calib.references import find_reference, load_reference
 from calib.result import CheckResult, Timing
@@ -43,8 +44,13 @@ def read_set(paths: Sequence[Path], progress: Progress) -> Sorted:
 def choose_reference(photo: Photo, wanted: str | None) -> tuple[Reference | None, str]:
     """The reference for these photos, converted to their size, and a sentence about it."""
     if wanted is None:
-        return find_reference(photo.camera)
-    return match_reference(load_reference(wanted), photo.camera, named=True)
+        reference, note = find_reference(photo.camera)
+    else:
+        reference, note = match_reference(load_reference(wanted), photo.camera, named=True)
+    if reference is None:
+        return None, note
+    taken = None if photo.time is None else photo.time.date()
+    return reference, " ".join((note, *condition(reference, taken)))
 
 
 def check_photos(photos: Sorted, options: Options, progress: Progress) -> CheckResult:
@@ -54,13 +60,13 @@ def check_photos(photos: Sorted, options: Options, progress: Progress) -> CheckR
         FieldcalError: the photos cannot be used; one sentence.
     """
     require_block(photos)
-    started, cpu = time.monotonic(), _cpu_s()
+    started, cpu = time.monotonic(), cpu_s()
     reference, note = choose_reference(photos.used[0], options.reference)
     lens = None if reference is None else reference.lens
     covariance = None if reference is None else reference.lens_covariance
     outcome = run_job(Job(photos.used, lens, options.settings, reference_covariance=covariance), progress)
     wall = time.monotonic() - started
-    timing = Timing(wall, _cpu_s() - cpu, len(photos.used) / max(wall, 1e-9))
+    timing = Timing(wall, cpu_s() - cpu, len(photos.used) / max(wall, 1e-9))
     return conclude(outcome, photos.left_out, reference, note, timing)
 
 
@@ -94,10 +100,11 @@ def conclude(
         what_to_fly=None,
         left_out=left_out,
         timing=timing,
+        flown=outcome.flown,
     )
 
 
-def _cpu_s() -> float:
+def cpu_s() -> float:
     """CPU seconds of this process and its finished children."""
     return sum(
         usage.ru_utime + usage.ru_stime

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.optimize import brentq
 
 from calib.camera import FloatArray
 from calib.equifinal import MINIMAX_ALPHA, MINIMAX_BETA, Radial
@@ -91,6 +90,8 @@ def implied_optimum(line: EquifinalLine, cubic: EquifinalCubic, radius_px: float
     if not roots:
         raise InputError(f"{line.source} and {cubic.source} have no common wall calibration.")
     nearest = min(roots, key=lambda i: abs(float(grid[i])))
+    from scipy.optimize import brentq  # Slow to load.
+
     return at(float(brentq(miss, float(grid[nearest]), float(grid[nearest + 1]), xtol=limit * 1e-9)))
 
 

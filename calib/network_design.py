@@ -212,7 +212,11 @@ class _Sweep:
         net = self.network
         level = net.points_m[:, :2] - net.points_m[:, :2].mean(axis=0)
         axis = np.linalg.svd(level, full_matrices=False)[2][0] if len(level) > 1 else np.array([1.0, 0.0])
-        order = np.argsort(level @ axis, kind="stable")
+        along = level @ axis
+        if len(self.kept):  # These stay on the front once they are there: towards them, not away.
+            near = np.isin(net.photo, self.kept)
+            along *= 1.0 if along[net.point[near]].sum() >= 0 else -1.0
+        order = np.argsort(along, kind="stable")
         rank = np.empty(len(order), np.intp)
         rank[order] = np.arange(len(order))
         last = np.full(len(net.centres_m), -1)
@@ -236,8 +240,10 @@ class _Sweep:
         old, new = 6 * len(self.abreast), 6 * len(photos)
         size = len(self.front) + new
         front = np.zeros((size, size))
-        index = np.concatenate([np.arange(old), np.arange(old + new, size)])
-        front[np.ix_(index, index)] = self.front
+        # Four slices: several times faster than one index.
+        here, there = slice(old), slice(old + new, size)
+        front[here, here], front[here, there] = self.front[:old, :old], self.front[:old, old:]
+        front[there, here], front[there, there] = self.front[old:, :old], self.front[old:, old:]
         axes = old + np.arange(new)
         front[axes, axes] = self.prior[photos].ravel()
         self.front, self.abreast = front, np.concatenate([self.abreast, photos])

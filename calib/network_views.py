@@ -7,6 +7,7 @@ to the nearest other view of the same point (:class:`Matching`).
 
 from __future__ import annotations
 
+import functools
 from dataclasses import dataclass
 
 import numpy as np
@@ -43,11 +44,13 @@ VEGETATION = Matching((1.5, 4.5, 7.5, 13.0, 16.5, 30.0, 40.0), (1.0, 0.7, 0.28, 
 EVERY_VIEW = Matching((180.0,), (1.0,))
 
 
+@functools.lru_cache(maxsize=16)
 def rays_limit(camera: BrownCamera) -> FloatArray:
     """Largest |x|, |y| (2,) of rays into the image; beyond it the radial polynomial may fold back."""
     corners = np.array([[0, 0], [0, 1], [1, 0], [1, 1], [0.5, 0], [0, 0.5], [1, 0.5], [0.5, 1]])
     edge = camera.unproject(corners * [camera.width, camera.height])
     limit: FloatArray = 1.02 * np.nanmax(np.abs(edge), axis=0)
+    limit.flags.writeable = False
     return limit
 
 
@@ -127,19 +130,24 @@ def nearest_view_deg(
     return closest
 
 
-def angle_to_views_deg(
-    rays: FloatArray, point: IntArray, view_rays: FloatArray, view_point: IntArray, n_points: int
-) -> FloatArray:
-    """Angle (n,) of new rays (n, 3) at ``point`` (n,) to the nearest of the views there (v, 3), (v,).
+def view_table(rays: FloatArray, point: IntArray, n_points: int) -> FloatArray:
+    """Views of each point side by side, (n_points, most views, 3), NaN where a point has fewer.
 
-    Unit vectors from the point to the camera; views sorted by point; 180 where a point has none.
+    Unit vectors from the point to the camera (v, 3) and their points (v,), sorted by point.
     """
-    counts = np.bincount(view_point, minlength=n_points)
+    counts = np.bincount(point, minlength=n_points)
     start = np.concatenate([[0], np.cumsum(counts)[:-1]])
-    widest = max(int(counts.max(initial=0)), 1)
-    table = np.zeros((n_points, widest, 3))
-    table[view_point, np.arange(len(view_point)) - start[view_point]] = view_rays
-    cosine = np.einsum("nvi,ni->nv", table[point], rays)
-    cosine[np.arange(widest) >= counts[point][:, None]] = -1.0
+    table = np.full((n_points, max(int(counts.max(initial=0)), 1), 3), np.nan)
+    table[point, np.arange(len(point)) - start[point]] = rays
+    return table
+
+
+def angle_to_views_deg(rays: FloatArray, point: IntArray, views: FloatArray) -> FloatArray:
+    """Angle (n,) of new rays (n, 3) at ``point`` (n,) to the nearest of the views there.
+
+    ``views``: see :func:`view_table`; rays alike. 180 where a point has none.
+    """
+    cosine = np.einsum("nvi,ni->nv", views[point], rays)
+    np.nan_to_num(cosine, copy=False, nan=-1.0)
     angle: FloatArray = np.degrees(np.arccos(np.clip(cosine.max(axis=1), -1.0, 1.0)))
     return angle

@@ -9,6 +9,7 @@ from pathlib import Path
 
 from calib.export import EXPORT_FILES, write_exports
 from calib.files import check_writable, output_errors, settle
+from calib.flown_file import NETWORK_FILE, flown_check, network_bytes
 from calib.report import render_report
 from calib.report_json import report_json
 from calib.result import CheckResult
@@ -17,7 +18,7 @@ REPORT_HTML, REPORT_JSON, EXPORTS = "report.html", "report.json", "exports"
 
 
 def write_outputs(result: CheckResult, out_dir: Path) -> dict[str, str]:
-    """Write ``report.html``, ``report.json`` and the ``exports`` folder into ``out_dir``.
+    """Write ``report.html``, ``report.json``, ``network.npz`` and the ``exports`` folder into ``out_dir``.
 
     Everything is written beside its place first and moved there at the end, ``report.json`` last;
     if anything fails, the files of an earlier check stay as they were.
@@ -37,13 +38,19 @@ def write_outputs(result: CheckResult, out_dir: Path) -> dict[str, str]:
             complete = replace(result, exports=exports)
             (stage / REPORT_HTML).write_text(render_report(complete), encoding="utf-8")
             (stage / REPORT_JSON).write_text(report_json(complete), encoding="utf-8")
+            flown = flown_check(complete)
+            if flown is not None:
+                (stage / NETWORK_FILE).write_bytes(network_bytes(flown))
             for path in sorted(stage.rglob("*")):
                 if path.is_file():
                     with path.open("rb") as file:
                         settle(file.fileno())
             with output_errors(out_dir / EXPORTS):
                 _move_exports(fresh, out_dir / EXPORTS)
-            for name in (REPORT_HTML, REPORT_JSON):
+            # A network of earlier photos must not stay beside a report that is not theirs.
+            if flown is None:
+                (out_dir / NETWORK_FILE).unlink(missing_ok=True)
+            for name in (*(() if flown is None else (NETWORK_FILE,)), REPORT_HTML, REPORT_JSON):
                 (stage / name).replace(out_dir / name)
         finally:
             shutil.rmtree(stage, ignore_errors=True)

@@ -30,17 +30,17 @@ from calib.wording import (
 )
 
 _GROUPS = {State.FLAG: "Not in order", State.UNKNOWN: "Not known", State.PASS: "In order"}
-_PROCESSING = {
+PROCESSING_WORDS = {
     Processing.RAW: "pixels as the sensor gave them",
     Processing.LENS_CORRECTED: "lens-corrected in the camera",
     Processing.UNKNOWN: "lens correction in the camera unknown",
 }
-_SIGNS = {
+SIGNS = {
     State.PASS: TICK,
     State.FLAG: CROSS,
     State.UNKNOWN: '<path d="M9 9.5a3 3 0 1 1 4.4 2.7c-1 .6-1.4 1.1-1.4 2.3M12 17.6v.2"/>',
 }
-_VERDICT_SIGNS = {
+VERDICT_SIGNS = {
     Verdict.TRUST: State.PASS,
     Verdict.REFLY: State.FLAG,
     Verdict.CANNOT_TELL: State.UNKNOWN,
@@ -56,7 +56,7 @@ def render_report(result: CheckResult) -> str:
             "<main>",
             _facts(result),
             _what_to_fly(result),
-            _findings(result),
+            findings_section(result.findings),
             _left_out(result),
             figures_section(result),
             _parameters(result),
@@ -71,7 +71,7 @@ def render_report(result: CheckResult) -> str:
 def _verdict(result: CheckResult) -> str:
     verdict = result.verdict
     return (
-        f'<header class="verdict {verdict.value.lower()}"><h1>{drawn_sign(_SIGNS[_VERDICT_SIGNS[verdict]])}'
+        f'<header class="verdict {verdict.value.lower()}"><h1>{drawn_sign(SIGNS[VERDICT_SIGNS[verdict]])}'
         f"<span>{VERDICT_WORDS[verdict]}</span></h1><p>{sentence(result.headline)}</p></header>"
     )
 
@@ -101,10 +101,11 @@ def _what_to_fly(result: CheckResult) -> str:
     )
 
 
-def _findings(result: CheckResult) -> str:
+def findings_section(findings: tuple[Finding, ...]) -> str:
+    """All findings, what went wrong first."""
     parts = ['<section aria-labelledby="why"><h2 id="why">Why</h2>']
     for state in STATE_ORDER:
-        chosen = ordered_findings(result.findings, state)
+        chosen = ordered_findings(findings, state)
         if chosen:
             parts.append(f"<h3>{_GROUPS[state]} ({len(chosen)})</h3>")
             parts.append(f'<ul class="findings">{"".join(map(_finding, chosen))}</ul>')
@@ -118,14 +119,18 @@ def _finding(finding: Finding) -> str:
     if finding.source:
         measure.append(f"from {sentence(finding.source)}")
     return (
-        f'<li class="{finding.state.value}">{drawn_sign(_SIGNS[finding.state])}<div>'
+        f'<li class="{finding.state.value}">{drawn_sign(SIGNS[finding.state])}<div>'
         f"<h4>{html_text(rule_title(finding.rule))}</h4><p>{sentence(finding.message)}</p>"
         f'<p class="measure">{" · ".join(measure)}</p></div></li>'
     )
 
 
 def _left_out(result: CheckResult) -> str:
-    groups = left_out_by_reason(result)
+    return left_out_section(left_out_by_reason(result))
+
+
+def left_out_section(groups: dict[str, list[Path]]) -> str:
+    """Photos that were left out, by the reason."""
     if not groups:
         return ""
     parts = ['<section aria-labelledby="left"><h2 id="left">Photos left out</h2>']
@@ -163,7 +168,7 @@ def _parameters(result: CheckResult) -> str:
 def _provenance(result: CheckResult) -> str:
     camera, solution, estimate = result.camera, result.solution, result.estimate
     georeference, reference, timing = solution.georeference, result.reference, result.timing
-    size = f"{camera.width} × {camera.height} px, {_PROCESSING[camera.processing]}"
+    size = f"{camera.width} × {camera.height} px, {PROCESSING_WORDS[camera.processing]}"
     rows: list[tuple[str, str]] = [
         ("Camera", f"{camera_name(camera)}, {size}"),
         ("Serial number", camera.serial or "not in the photos"),
@@ -173,7 +178,7 @@ def _provenance(result: CheckResult) -> str:
         rows.append(("Photos taken", f"{times[0]:%Y-%m-%d %H:%M:%S} to {times[-1]:%H:%M:%S}"))
     if reference is not None:
         rows.append(
-            ("Reference", f"{reference.name}, {_PROCESSING[reference.processing]}; {reference.source}")
+            ("Reference", f"{reference.name}, {PROCESSING_WORDS[reference.processing]}; {reference.source}")
         )
     if result.reference_note:
         rows.append(("About the reference" if reference else "Reference", result.reference_note))

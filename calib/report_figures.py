@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Any
 
 from calib.figures import (
@@ -91,6 +92,11 @@ def figures_section(result: CheckResult) -> str:
         ),
     ]
     drawn = [(title, caption, figure) for title, caption, figure in entries if figure is not None]
+    return figures_html(drawn)
+
+
+def figures_html(drawn: Sequence[tuple[str, str, Any]]) -> str:
+    """The section of figures, each with title, caption and plotly figure."""
     figures = "\n".join(_figure(i, *entry) for i, entry in enumerate(drawn))
     return f'<section aria-labelledby="figures"><h2 id="figures">Figures</h2>{figures}</section>'
 

@@ -12,18 +12,27 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from calib.findings import Finding
+from calib.photos.photo import CameraIdentity
 from calib.propagation import correlations, parameter_sigmas
 from calib.reference import Reference
-from calib.result import CheckResult
+from calib.result import CheckResult, Timing
 from calib.solution import Estimate
-from calib.wording import all_left_out, parameter_values, path_text, photos_given, printable
+from calib.wording import (
+    WithLeftOut,
+    all_left_out,
+    parameter_values,
+    path_text,
+    photos_given,
+    printable,
+)
 
 
-class _Model(BaseModel):
+class JsonModel(BaseModel):
     model_config = ConfigDict(extra="forbid", allow_inf_nan=False, frozen=True)
 
 
-class FindingModel(_Model):
+class FindingModel(JsonModel):
     rule: str
     state: Literal["pass", "flag", "unknown"]
     value: float | None
@@ -34,7 +43,7 @@ class FindingModel(_Model):
     message: str
 
 
-class CameraModel(_Model):
+class CameraModel(JsonModel):
     make: str
     model: str
     serial: str | None
@@ -43,7 +52,7 @@ class CameraModel(_Model):
     processing: Literal["raw", "lens-corrected", "unknown"]
 
 
-class SigmaModel(_Model):
+class SigmaModel(JsonModel):
     """Standard deviations, by the keys of the calibration."""
 
     f_px: float | None
@@ -72,7 +81,7 @@ class CalibrationModel(SigmaModel):
     correlation: dict[str, dict[str, float]]
 
 
-class ReferenceModel(_Model):
+class ReferenceModel(JsonModel):
     name: str
     source: str
     processing: Literal["raw", "lens-corrected", "unknown"]
@@ -80,12 +89,12 @@ class ReferenceModel(_Model):
     note: str
 
 
-class LeftOutModel(_Model):
+class LeftOutModel(JsonModel):
     path: str
     reason: str
 
 
-class AlignmentModel(_Model):
+class AlignmentModel(JsonModel):
     """``photos`` given, ``used`` of them handed to the alignment, ``aligned`` of those."""
 
     photos: int
@@ -98,7 +107,7 @@ class AlignmentModel(_Model):
     left_out: list[LeftOutModel]
 
 
-class NetworkModel(_Model):
+class NetworkModel(JsonModel):
     """Lengths are given only where believed geotags set the scale (``georeference.trusted``)."""
 
     nadir: int
@@ -107,7 +116,7 @@ class NetworkModel(_Model):
     gsd_m: float | None
 
 
-class GeoreferenceModel(_Model):
+class GeoreferenceModel(JsonModel):
     crs: str | None
     rms_xy_m: float | None
     rms_z_m: float | None
@@ -115,7 +124,7 @@ class GeoreferenceModel(_Model):
     fault: str | None
 
 
-class DomeModel(_Model):
+class DomeModel(JsonModel):
     """``amplitude_m`` and ``sigma_m`` are null without believed geotags; the percentage needs none."""
 
     amplitude_m: float | None
@@ -123,13 +132,13 @@ class DomeModel(_Model):
     sigma_m: float | None
 
 
-class TimingModel(_Model):
+class TimingModel(JsonModel):
     wall_s: float | None
     cpu_s: float | None
     photos_per_s: float | None
 
 
-class CheckReport(_Model):
+class CheckReport(JsonModel):
     """The whole of ``report.json``."""
 
     schema_: Literal["fieldcal.check/1"] = Field(alias="schema")
@@ -161,50 +170,19 @@ def report_json(result: CheckResult) -> str:
 
 
 def check_report(result: CheckResult) -> CheckReport:
-    camera, solution = result.camera, result.solution
+    solution = result.solution
     metric = solution.georeference.metric
     return CheckReport(
         schema="fieldcal.check/1",
         verdict=result.verdict.value,
         headline=printable(result.headline),
         what_to_fly=None if result.what_to_fly is None else printable(result.what_to_fly),
-        findings=[
-            FindingModel(
-                rule=finding.rule,
-                state=finding.state.value,
-                value=_finite(finding.value),
-                sigma=_finite(finding.sigma),
-                unit=finding.unit,
-                threshold=_finite(finding.threshold),
-                source=finding.source,
-                message=printable(finding.message),
-            )
-            for finding in result.findings
-        ],
-        camera=CameraModel(
-            make=printable(camera.make),
-            model=printable(camera.model),
-            serial=None if camera.serial is None else printable(camera.serial),
-            width=camera.width,
-            height=camera.height,
-            processing=camera.processing.value,
-        ),
-        calibration=_calibration(result.estimate),
+        findings=finding_models(result.findings),
+        camera=camera_model(result.camera),
+        calibration=calibration_model(result.estimate),
         reference=None if result.reference is None else _reference(result.reference, result.reference_note),
         reference_note=printable(result.reference_note),
-        alignment=AlignmentModel(
-            photos=photos_given(result),
-            used=solution.photos_used,
-            aligned=len(solution.photos),
-            components=list(solution.components),
-            points=len(solution.points_m),
-            observations=len(solution.observations),
-            reprojection_rms_px=_finite(solution.rms_px),
-            left_out=[
-                LeftOutModel(path=path_text(item.path), reason=printable(item.reason))
-                for item in all_left_out(result)
-            ],
-        ),
+        alignment=alignment_model(result),
         network=NetworkModel(
             nadir=result.network.nadir,
             convergent=result.network.convergent,
@@ -223,16 +201,64 @@ def check_report(result: CheckResult) -> CheckReport:
             amplitude_percent=_finite(result.dome.amplitude_percent),
             sigma_m=_finite(result.dome.sigma_m) if metric else None,
         ),
-        timing=TimingModel(
-            wall_s=_finite(result.timing.wall_s),
-            cpu_s=_finite(result.timing.cpu_s),
-            photos_per_s=_finite(result.timing.photos_per_s),
-        ),
+        timing=timing_model(result.timing),
         exports=dict(result.exports),
     )
 
 
-def _calibration(estimate: Estimate) -> CalibrationModel:
+def finding_models(findings: tuple[Finding, ...]) -> list[FindingModel]:
+    return [
+        FindingModel(
+            rule=finding.rule,
+            state=finding.state.value,
+            value=_finite(finding.value),
+            sigma=_finite(finding.sigma),
+            unit=finding.unit,
+            threshold=_finite(finding.threshold),
+            source=finding.source,
+            message=printable(finding.message),
+        )
+        for finding in findings
+    ]
+
+
+def camera_model(camera: CameraIdentity) -> CameraModel:
+    return CameraModel(
+        make=printable(camera.make),
+        model=printable(camera.model),
+        serial=None if camera.serial is None else printable(camera.serial),
+        width=camera.width,
+        height=camera.height,
+        processing=camera.processing.value,
+    )
+
+
+def alignment_model(result: WithLeftOut) -> AlignmentModel:
+    solution = result.solution
+    return AlignmentModel(
+        photos=photos_given(result),
+        used=solution.photos_used,
+        aligned=len(solution.photos),
+        components=list(solution.components),
+        points=len(solution.points_m),
+        observations=len(solution.observations),
+        reprojection_rms_px=_finite(solution.rms_px),
+        left_out=[
+            LeftOutModel(path=path_text(item.path), reason=printable(item.reason))
+            for item in all_left_out(result)
+        ],
+    )
+
+
+def timing_model(timing: Timing) -> TimingModel:
+    return TimingModel(
+        wall_s=_finite(timing.wall_s),
+        cpu_s=_finite(timing.cpu_s),
+        photos_per_s=_finite(timing.photos_per_s),
+    )
+
+
+def calibration_model(estimate: Estimate) -> CalibrationModel:
     values = {key: _finite(value) for key, value in parameter_values(estimate.brown).items()}
     sigma = {key: _finite(value) for key, value in parameter_sigmas(estimate).items()}
     keys, matrix = correlations(estimate.covariance)

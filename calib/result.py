@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass, field
 
 from calib.findings import Finding, Verdict
+from calib.flown import FlownNetwork
 from calib.photos.photo import CameraIdentity, LeftOut
 from calib.reference import EquifinalLine, Reference
 from calib.solution import Dome, Estimate, Network, Solution
@@ -23,7 +24,8 @@ class CheckResult:
 
     ``reference_note`` says why a candidate reference was not used, or how it was converted.
     ``line`` is the equifinal line that the survey was held against (None: no reference).
-    ``what_to_fly`` is one paragraph for the pilot (None for TRUST).
+    ``what_to_fly`` is one paragraph for the pilot (None for TRUST). ``flown``: what more photos are
+    planned from.
     """
 
     verdict: Verdict
@@ -41,3 +43,4 @@ class CheckResult:
     left_out: tuple[LeftOut, ...]
     timing: Timing
     exports: dict[str, str] = field(default_factory=dict)
+    flown: FlownNetwork | None = None

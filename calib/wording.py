@@ -9,11 +9,22 @@ import re
 import unicodedata
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Protocol
 
 from calib.camera import BrownCamera
 from calib.findings import Finding, State, Verdict
 from calib.photos.photo import CameraIdentity, LeftOut
-from calib.result import CheckResult
+from calib.solution import Solution
+
+
+class WithLeftOut(Protocol):
+    """A result that says which photos it was made from and which not."""
+
+    @property
+    def solution(self) -> Solution: ...
+    @property
+    def left_out(self) -> tuple[LeftOut, ...]: ...
+
 
 #: Plain titles of the rules; a rule that is not listed is shown by its id.
 RULE_TITLES = {
@@ -28,6 +39,18 @@ RULE_TITLES = {
     "model-sensitivity": "Different lens models agree",
     "coverage": "Tie points cover the sensor",
     "alignment": "Alignment of the photos",
+}
+#: The same for the rules of calibrating on site.
+CALIBRATION_TITLES = {
+    "wall-bend-along": "Bend of the wall along its length",
+    "wall-twist": "Twist of the wall",
+    "wall-bend-up": "Bend of the wall over its height",
+    "wall-share": "Share of the picture that is wall",
+    "wall-angles": "Views from both sides",
+    "wall-overlap": "Overlap along the wall",
+    "directions": "Views from all around",
+    "photo-count": "Number of photos",
+    "texture": "Texture",
 }
 VERDICT_WORDS = {Verdict.TRUST: "TRUST", Verdict.REFLY: "REFLY", Verdict.CANNOT_TELL: "CANNOT TELL"}
 #: The order in which findings are told: what went wrong first.
@@ -57,7 +80,7 @@ NO_BREAK_SPACE = "\N{NO-BREAK SPACE}"
 
 
 def rule_title(rule: str) -> str:
-    return RULE_TITLES.get(rule, rule)
+    return RULE_TITLES.get(rule) or CALIBRATION_TITLES.get(rule, rule)
 
 
 def printable(text: str) -> str:
@@ -137,7 +160,7 @@ def ordered_findings(findings: Iterable[Finding], state: State) -> list[Finding]
     return [finding for finding in findings if finding.state is state]
 
 
-def all_left_out(result: CheckResult) -> list[LeftOut]:
+def all_left_out(result: WithLeftOut) -> list[LeftOut]:
     """Photos left out at the sorting and by the alignment, each once."""
     unique: dict[Path, LeftOut] = {}
     for item in (*result.left_out, *result.solution.left_out):
@@ -145,14 +168,14 @@ def all_left_out(result: CheckResult) -> list[LeftOut]:
     return list(unique.values())
 
 
-def left_out_by_reason(result: CheckResult) -> dict[str, list[Path]]:
+def left_out_by_reason(result: WithLeftOut) -> dict[str, list[Path]]:
     groups: dict[str, list[Path]] = {}
     for item in all_left_out(result):
         groups.setdefault(item.reason, []).append(item.path)
     return groups
 
 
-def photos_given(result: CheckResult) -> int:
+def photos_given(result: WithLeftOut) -> int:
     """All photos that the user gave: aligned or left out, whatever the reason."""
     return max(len(result.solution.photos) + len(all_left_out(result)), result.solution.photos_used)
 

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import contextlib
 import errno
+import importlib
 import io
 import os
 import signal
@@ -33,20 +34,28 @@ READER_GONE = 128 + signal.SIGPIPE
 #: What writing to a terminal, pipe or redirection may fail with; none of it is a defect.
 _OUTPUT_FAULTS = frozenset({errno.ENOSPC, errno.EDQUOT, errno.EFBIG, errno.EIO, errno.EBADF})
 
+#: Commands in the order of the help: module and what to take from it, a function or a group of commands.
+_COMMANDS = {
+    "check": ("daemon.cli_check", "check"),
+    "run": ("daemon.cli_run", "run_command"),
+    "plan": ("daemon.cli_plan", "plan"),
+    "refly": ("daemon.cli_refly", "refly_command"),
+    "upload": ("daemon.cli_upload", "upload"),
+    "status": ("daemon.cli_status", "status"),
+    "sessions": ("daemon.cli_sessions", "app"),
+    "doctor": ("daemon.cli_doctor", "doctor"),
+    "calibrate": ("daemon.cli_calibrate", "app"),
+    "cameras": ("daemon.cli_cameras", "app"),
+    "equifinal": ("daemon.cli_equifinal", "equifinal"),
+    "perturb": ("daemon.cli_perturb", "perturb_command"),
+    "sim": ("daemon.cli_sim", "app"),
+}
 
-def _app() -> typer.Typer:
+
+def _app(arguments: Sequence[str]) -> typer.Typer:
     # The commands bring the numerical libraries, a second or two: loaded in here, so that Ctrl-C
-    # is answered with one line from the start.
-    from daemon.cli_cameras import app as cameras_app
-    from daemon.cli_check import check
-    from daemon.cli_equifinal import equifinal
-    from daemon.cli_perturb import perturb_command
-    from daemon.cli_plan import plan
-    from daemon.cli_run import run_command
-    from daemon.cli_sessions import app as sessions_app
-    from daemon.cli_sim import app as sim_app
-    from daemon.cli_status import status
-
+    # is answered with one line from the start, and only those of the command that is asked for.
+    asked = [name for name in arguments[:1] if name in _COMMANDS]
     app = typer.Typer(
         name="fieldcal",
         invoke_without_command=True,
@@ -55,15 +64,13 @@ def _app() -> typer.Typer:
         rich_markup_mode=None,
     )
     app.callback()(_root)
-    app.command("check")(check)
-    app.add_typer(cameras_app, name="cameras")
-    app.command("equifinal")(equifinal)
-    app.add_typer(sim_app, name="sim")
-    app.add_typer(sessions_app, name="sessions")
-    app.command("perturb")(perturb_command)
-    app.command("plan")(plan)
-    app.command("run")(run_command)
-    app.command("status")(status)
+    for name in asked or _COMMANDS:
+        module, attribute = _COMMANDS[name]
+        found = getattr(importlib.import_module(module), attribute)
+        if isinstance(found, typer.Typer):
+            app.add_typer(found, name=name)
+        else:
+            app.command(name)(found)
     return app
 
 
@@ -89,7 +96,8 @@ def _root(
 def run(arguments: Sequence[str] | None = None) -> int:
     """Run the command line with ``arguments`` (the process's own by default): the exit code."""
     try:
-        result = _app()(args=None if arguments is None else list(arguments), standalone_mode=False)
+        given = list(sys.argv[1:] if arguments is None else arguments)
+        result = _app(given)(args=given, standalone_mode=False)
         if sys.stdout is not None:
             sys.stdout.flush()  # What cannot be written is to be said here, not by the interpreter's end.
     except FieldcalError as error:

@@ -15,21 +15,37 @@ from calib.camera import BROWN_NAMES, BrownCamera
 from calib.equifinal import Radial, profile_deviation
 from calib.equifinal_published import radial_of
 from calib.errors import InputError
+from calib.evidence import reference_sigma_f_px
+from calib.files import output_folder, write_text_atomic
 from calib.formats import FORMATS, write_calibration
 from calib.formats.common import ReadOptions
 from calib.photos.photo import Processing
 from calib.reference import Reference
 from calib.reference_file import write_reference_file
+from calib.reference_history import (
+    average,
+    body_history,
+    change,
+    changes,
+    describe,
+    describe_trend,
+    entry_of,
+    same_body,
+    trends,
+    verified_camera,
+)
 from calib.reference_match import convert_reference
+from calib.reference_provenance import PROVENANCE_FILE, VERIFIED_FILES, history_dict, provenance_text
 from calib.references import (
     bundled_references,
+    check_saving,
     history,
     is_bundled,
     load_reference,
     save_reference,
     stored_references,
 )
-from daemon.output import console, table
+from daemon.output import console, table, write_json
 
 app = typer.Typer(
     help="List, show, compare, import and export reference calibrations.",
@@ -100,7 +116,7 @@ def show(name: NameArgument) -> None:
     if reference.line is not None:
         line = reference.line
         out.print()
-        out.print(f"Published line ({line.source}): K2 = {line.slope:.4e} K1 {line.intercept:+.4e},")
+        out.print(f"Equifinal line ({line.source}): K2 = {line.slope:.4e} K1 {line.intercept:+.4e},")
         out.print(
             f"K1 {line.k1_min:.2e} to {line.k1_max:.2e}, K2 {line.k2_min:.2e} to {line.k2_max:.2e} (px units)"
         )
@@ -129,8 +145,8 @@ def compare(
         )
     rows = table("", one.name, two.name, "difference", numbers=(one.name, two.name, "difference"))
     if one.f_px is not None and two.f_px is not None:
-        change = f"{100 * (two.f_px - one.f_px) / one.f_px:+.3f} %"
-        rows.add_row("f, px", f"{one.f_px:.2f}", f"{two.f_px:.2f}", change)
+        moved = f"{100 * (two.f_px - one.f_px) / one.f_px:+.3f} %"
+        rows.add_row("f, px", f"{one.f_px:.2f}", f"{two.f_px:.2f}", moved)
     a, note_a = radial_of(one)
     b, note_b = radial_of(two)
     for label, x, y in zip(("K1, px^-2", "K2, px^-4", "K3, px^-6"), a.vector, b.vector, strict=True):
@@ -146,6 +162,8 @@ def compare(
     for note in (note_a, note_b):
         if note:
             out.print(note)
+    if same_body(one, two) and one.comparable_brown is not None and two.comparable_brown is not None:
+        out.print(describe(change(entry_of(one.name), entry_of(two.name))))
 
 
 @app.command("import")
@@ -217,6 +235,78 @@ def export(
             raise InputError(f"The image size of {reference.name} is not known, so it cannot be exported.")
         write_calibration(brown, format_name, out_file)
     console().print(f"Wrote {out_file} ({format_name}).")
+
+
+@app.command("history")
+def show_history(
+    name: NameArgument,
+    json_to: Annotated[
+        str | None, typer.Option("--json", metavar="FILE|-", help="Also as JSON, to a file or to stdout.")
+    ] = None,
+) -> None:
+    """Show every calibration of a body over time: temperature, drift of f and profile, significance."""
+    entries, faults = body_history(name)
+    steps, found = changes(entries), trends(entries)
+    if json_to is not None:
+        write_json(history_dict(name, entries, steps, found), json_to)
+    if json_to == "-":
+        return
+    out = console()
+    rows = table("date", "name", "°C", "f px", "sigma", "change", numbers=("°C", "f px", "sigma", "change"))
+    shift = ["", *(f"{step.f_percent:+.4f} %" for step in steps)]
+    for entry, moved in zip(entries, shift, strict=True):
+        reference = entry.reference
+        f, sigma = reference.f_px or 0.0, reference_sigma_f_px(reference)
+        rows.add_row(
+            reference.date or "-",
+            entry.label,
+            "-" if reference.temperature_c is None else f"{reference.temperature_c:g}",
+            f"{f:.2f}",
+            f"{100 * sigma / f:.4f} %" if sigma > 0 else "-",
+            moved,
+        )
+    out.print(rows)
+    if len(entries) == 1:
+        out.print("There is nothing to compare with: it is the only calibration of this body.")
+    for text in (*map(describe, steps), *map(describe_trend, found)):
+        out.print(text)
+    for entry in entries:
+        out.print(f"{entry.label}: {entry.reference.source}; {entry.reference.provenance or 'no details'}")
+    for fault in faults:
+        out.print(f"Left out: {fault}")
+
+
+@app.command("average")
+def average_references(
+    names: Annotated[list[str], typer.Argument(metavar="NAME...", help="Calibrations of one body.")],
+    name: Annotated[str, typer.Option(help="Name of the average in your store.")],
+) -> None:
+    """Average consistent calibrations of one body, with covariance, and keep the mean as a reference."""
+    check_saving(name)
+    if len(set(names)) < len(names):
+        raise InputError("Every calibration counts once: a name is given twice.")
+    entries = [entry_of(one) for one in names]
+    made = average(entries, name)
+    path = save_reference(made)
+    sigma = 100 * reference_sigma_f_px(made) / (made.f_px or 1.0)
+    out = console()
+    out.print(f"f {made.f_px:.2f} px, known to {sigma:.4f} %: {made.provenance}")
+    out.print(f"Saved as {name} in {path}")
+
+
+@app.command("verified")
+def verified(
+    name: NameArgument,
+    out_dir: Annotated[Path, typer.Option("--out", metavar="DIR", help="Folder for the files.")],
+) -> None:
+    """Write a verified calibration for OpenDroneMap and Metashape, with where it comes from."""
+    reference = load_reference(name)
+    brown = verified_camera(reference)
+    with output_folder(out_dir):
+        for format_name, file in VERIFIED_FILES.items():
+            write_calibration(brown, format_name, out_dir / file)
+        write_text_atomic(out_dir / PROVENANCE_FILE, provenance_text(reference, brown, out_dir))
+    console().print(f"Wrote {', '.join(VERIFIED_FILES.values())} and {PROVENANCE_FILE} to {out_dir}.")
 
 
 def _image_size(text: str | None) -> tuple[int, int] | None:

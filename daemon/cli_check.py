@@ -13,6 +13,7 @@ import typer
 from calib.check import Options, check_photos, read_set
 from calib.files import check_file_writable, output_folder, write_text_atomic
 from calib.findings import State
+from calib.onsite_rules import REFERENCE_SIGMA_PERCENT
 from calib.output import write_outputs
 from calib.photos.sort import require_block
 from calib.references import check_saving, load_reference, reference_from_estimate, save_reference
@@ -24,8 +25,6 @@ from daemon.output import console, write_stdout
 from daemon.progress import progress_line
 from daemon.terminal import print_summary
 
-#: A reference must be known four times better than what it is to judge: 1.96 sigma within 0.1 %.
-REFERENCE_SIGMA_PERCENT = 0.05
 DEFAULT_OUT = Path("fieldcal-out")
 
 

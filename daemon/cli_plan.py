@@ -12,7 +12,7 @@ import typer
 from calib.errors import InputError
 from calib.files import check_file_writable
 from daemon.output import console, write_json
-from daemon.plan_output import plan_json, print_plan
+from daemon.plan_output import plan_json, print_ending, print_plan
 from mission.compose import compose_with_notes
 from mission.encode import SUFFIXES, write
 from mission.limits import check_limits, hard_violations
@@ -21,11 +21,11 @@ from mission.plan import Station
 from mission.planned import Planned
 from mission.predict import fix, predict
 from mission.reroute import allowed_station, rerouted
-from mission.sheet import write_sheet
 from mission.site_build import build_site
 from mission.site_file import SiteFile, checked, overlaid, read_site_file
+from mission.split import split
 
-SHEET = ".html"
+SHEET, PICTURE = ".html", ".png"
 #: What the user calls the keys of a site file on the command line.
 _OPTIONS = {
     "name": "--name",
@@ -100,11 +100,15 @@ def plan(
         list[Path] | None,
         typer.Option(
             metavar="FILE",
-            help=f"Write the mission, once or several times: {', '.join(SUFFIXES)}; {SHEET}: the plan sheet.",
+            help=f"Write the mission, once or several times: {', '.join(SUFFIXES)}; "
+            f"{SHEET}, {PICTURE}: the plan sheet.",
         ),
     ] = None,
     repair: Annotated[
         bool, typer.Option("--fix", help="Add the fewest convergent photos that make it calibrate.")
+    ] = False,
+    batteries: Annotated[
+        bool, typer.Option("--split", help="Several missions where one battery is not enough.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Write a plan that breaks a hard limit.")] = False,
     json_target: Annotated[
@@ -236,7 +240,8 @@ def plan(
     keys = options if site is None else overlaid(read_site_file(site), options)
     _keep_inputs(outputs, [keys.area, keys.camera, keys.dem, site, *(z.outline for z in keys.fence)])
     planned = make_plan(names, keys, repair, str(site) if site else "the command line")
-    _deliver(planned, outputs, _Delivery(json_target, autopilot, force))
+    parts = split(planned) if batteries else (planned,)
+    _deliver(planned, parts, outputs, _Delivery(json_target, autopilot, force))
 
 
 def make_plan(names: tuple[str, ...], keys: SiteFile, repair: bool, source: str) -> Planned:
@@ -269,39 +274,55 @@ class _Delivery:
     force: bool
 
 
-def _deliver(planned: Planned, outputs: list[Path], how: _Delivery) -> None:
-    broken = hard_violations(planned.findings)
+def _deliver(whole: Planned, parts: tuple[Planned, ...], outputs: list[Path], how: _Delivery) -> None:
+    broken = [finding for part in parts for finding in hard_violations(part.findings)]
     withheld = bool(broken) and not how.force
     losses: list[str] = []
     written: list[Path] = []
-    for path in outputs:
-        if path.suffix.lower() == SHEET:
-            write_sheet(planned, path)
-        elif withheld:
-            continue
-        else:
-            fence = None if planned.site.fence.is_empty else planned.site.fence
-            losses += write(planned.plan, path, fence=fence, flavour=how.autopilot)
-        written.append(path)
+    for number, part in enumerate(parts, 1):
+        for path in outputs:
+            target = path if len(parts) == 1 else path.with_stem(f"{path.stem}-{number}")
+            if withheld and path.suffix.lower() not in (SHEET, PICTURE):
+                continue
+            losses += _write(part, target, how.autopilot)
+            written.append(target)
     if how.json_target is not None:
-        write_json(plan_json(planned), how.json_target)
+        write_json(plan_json(whole, parts), how.json_target)
     if how.json_target != "-":
-        print_plan(planned, console(), written, list(dict.fromkeys(losses)))
+        out = console()
+        print_plan(whole, parts, out)
+        print_ending(out, written, list(dict.fromkeys(losses)))
     if withheld:
         what = (
             "The plan is not written"
-            if any(p not in written for p in outputs)
+            if any(path.suffix.lower() in SUFFIXES for path in outputs)
             else "The plan is not to be flown"
         )
         more = f" ({len(broken) - 1} more)" if len(broken) > 1 else ""
         raise InputError(f"{what}: {broken[0].message}{more} --force writes it all the same.")
 
 
+def _write(planned: Planned, path: Path, autopilot: Literal["ardupilot", "px4"]) -> list[str]:
+    """One file by its ending; what it cannot hold, in sentences. Drawing libraries are slow to load."""
+    if path.suffix.lower() == SHEET:
+        from mission.sheet import write_sheet
+
+        write_sheet(planned, path)
+        return []
+    if path.suffix.lower() == PICTURE:
+        from mission.sheet_png import write_picture
+
+        write_picture(planned, path)
+        return []
+    fence = None if planned.site.fence.is_empty else planned.site.fence
+    return write(planned.plan, path, fence=fence, flavour=autopilot)
+
+
 def _checked_outputs(out: list[Path], json_target: str | None) -> list[Path]:
     """What can be refused at once is refused before the work."""
     for path in out:
-        if path.suffix.lower() not in (*SUFFIXES, SHEET):
-            known = ", ".join([*SUFFIXES, SHEET])
+        if path.suffix.lower() not in (*SUFFIXES, SHEET, PICTURE):
+            known = ", ".join([*SUFFIXES, SHEET, PICTURE])
             raise InputError(f"{path.name}: there is no format with that ending; there are {known}.")
         check_file_writable(path)
     if json_target is not None and json_target != "-":

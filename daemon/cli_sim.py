@@ -4,16 +4,18 @@ from __future__ import annotations
 
 import re
 import sys
+import time
 from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 import typer
 
 from calib.errors import InputError, OutputError
 from calib.files import output_errors, output_folder
+from calib.frames import LocalFrame
 from calib.photos.photo import Processing
 from calib.reference_file import write_reference_file
 from calib.wording import path_text, printable
@@ -74,6 +76,67 @@ def list_recipes() -> None:
         shown.add_row(recipe.name, f"{recipe.photos}{mark}", recipe.summary)
     console().print(shown)
     console().print("* another number with --photos")
+
+
+@app.command("vehicle")
+def vehicle(
+    autopilot: Annotated[
+        Literal["ardupilot", "px4"], typer.Option(help="Whose behaviour it shows.")
+    ] = "ardupilot",
+    to: Annotated[
+        str, typer.Option(metavar="HOST:PORT", help="Where it sends its messages (UDP).")
+    ] = "127.0.0.1:14550",
+    home: Annotated[
+        str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Where it stands, degrees and m.")
+    ] = None,
+    speed_up: Annotated[float, typer.Option(min=0.1, max=100, metavar="N", help="Times real time.")] = 1.0,
+    seed: Annotated[int, typer.Option(min=0, max=_LARGEST_SEED, help="Of its faults.")] = 0,
+    drop: Annotated[float, typer.Option(min=0, max=1, metavar="SHARE", help="Share of messages lost.")] = 0.0,
+    repeat: Annotated[
+        float, typer.Option(min=0, max=1, metavar="SHARE", help="Share of messages sent twice.")
+    ] = 0.0,
+    delay: Annotated[
+        float, typer.Option(min=0, max=60, metavar="S", help="Every message is late by this.")
+    ] = 0.0,
+    miss_photos: Annotated[
+        float, typer.Option(min=0, max=1, metavar="SHARE", help="Share of triggers without photo.")
+    ] = 0.0,
+    camera_component: Annotated[
+        bool, typer.Option("--camera-component", help="A camera that confirms photos.")
+    ] = False,
+) -> None:
+    """A simulated vehicle that can be armed and flown by any ground station, until Ctrl-C."""
+    try:
+        from sim.vehicle import Faults, VehicleOptions, VehicleServer
+    except ModuleNotFoundError as error:
+        raise InputError(
+            "The simulated vehicle needs a part that is not installed: pip install 'fieldcal[flight]'."
+        ) from error
+
+    place = VehicleOptions().home if home is None else _home(home)
+    options = VehicleOptions(autopilot, place, boot_utc_s=time.time(), camera_component=camera_component)
+    faults = Faults(drop, repeat, delay, miss_photo_share=miss_photos)
+    server = VehicleServer(options, _host_port(to), speed_up=speed_up, faults=faults, seed=seed)
+    times = "" if speed_up == 1 else f", {speed_up:g} times real time"
+    console().print(f"A simulated {autopilot} vehicle sends to {to} (UDP){times}. End it with Ctrl-C.")
+    server.run()
+
+
+def _host_port(text: str) -> tuple[str, int]:
+    host, _, port = text.rpartition(":")
+    if not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
+        raise InputError(f"--to {text!r} is not HOST:PORT, for example 127.0.0.1:14550.")
+    return host, int(port)
+
+
+def _home(text: str) -> LocalFrame:
+    try:
+        numbers = [float(part) for part in text.split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (2, 3) or not (abs(numbers[0]) <= 90 and abs(numbers[1]) <= 180):
+        raise InputError(f"--home {text!r} is not LAT,LON or LAT,LON,ALT in degrees and m.")
+    return LocalFrame(numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else 0.0)
 
 
 @app.command("survey")

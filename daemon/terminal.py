@@ -9,7 +9,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
-from calib.findings import State, Verdict
+from calib.findings import Finding, State, Verdict
 from calib.result import CheckResult
 from calib.wording import (
     NO_BREAK_SPACE,
@@ -26,7 +26,7 @@ from calib.wording import (
 )
 
 _STYLES = {State.PASS: "green", State.FLAG: "bold red", State.UNKNOWN: "yellow"}
-_VERDICT_STYLES = {
+BADGES = {
     Verdict.TRUST: "bold white on green",
     Verdict.REFLY: "bold white on red",
     Verdict.CANNOT_TELL: "bold black on yellow",
@@ -52,17 +52,15 @@ def print_summary(
     width = max(min(console.width, _WIDTH), 20)
 
     def say(text: str, style: str = "", indent: str = "") -> None:
-        for line in _wrapped(text, width, indent, indent):
+        for line in wrapped(text, width, indent, indent):
             console.print(Text(line, style=style), soft_wrap=True)
 
     for note in notes:
         say(note)
     console.print()
     badge = f" {VERDICT_WORDS[result.verdict]} "
-    first, *rest = _wrapped(result.headline, width, " " * (len(badge) + 2))
-    console.print(
-        Text.assemble((badge, _VERDICT_STYLES[result.verdict]), first[len(badge) :]), soft_wrap=True
-    )
+    first, *rest = wrapped(result.headline, width, " " * (len(badge) + 2))
+    console.print(Text.assemble((badge, BADGES[result.verdict]), first[len(badge) :]), soft_wrap=True)
     for line in rest:
         console.print(Text(line), soft_wrap=True)
     console.print()
@@ -76,7 +74,7 @@ def print_summary(
     for line in _left_out(result):
         say(line, "dim", "  ")
     console.print()
-    _print_findings(result, console, width)
+    print_findings(result.findings, console, width)
     if result.what_to_fly is not None:
         console.print()
         console.print(Text("What to fly", style="bold"))
@@ -87,7 +85,7 @@ def print_summary(
         console.print(Text(f"Report: {path_text(report)}"), soft_wrap=True)
 
 
-def _wrapped(text: str, width: int, first: str = "", others: str = "") -> list[str]:
+def wrapped(text: str, width: int, first: str = "", others: str = "") -> list[str]:
     """Lines of at most ``width`` columns that start with ``first``, and then with ``others``."""
     bound = with_bound_units(printable(text))
     lines = textwrap.wrap(
@@ -116,17 +114,18 @@ def _signs(console: Console) -> dict[State, str]:
     return _SIGNS
 
 
-def _print_findings(result: CheckResult, console: Console, width: int) -> None:
+def print_findings(findings: tuple[Finding, ...], console: Console, width: int) -> None:
+    """All findings, what went wrong first, within ``width`` columns."""
     signs = _signs(console)
     sign_width = max(map(len, signs.values())) + 1
-    rules = [printable(finding.rule) for finding in result.findings]
+    rules = [printable(finding.rule) for finding in findings]
     column = sign_width + max(map(len, rules), default=0) + 1
     beside = width >= _NARROW
     for state in STATE_ORDER:
-        for finding in ordered_findings(result.findings, state):
+        for finding in ordered_findings(findings, state):
             label = f"{signs[state]:<{sign_width}}{printable(finding.rule)}"
             indent = " " * (column if beside else sign_width)
-            lines = _wrapped(finding.message, width, indent, indent)
+            lines = wrapped(finding.message, width, indent, indent)
             if beside:
                 lines[0] = lines[0][len(label) :]
                 console.print(Text.assemble((label, _STYLES[state]), lines.pop(0)), soft_wrap=True)

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.camera import FloatArray
 from calib.network_extension import Joint, PhotoPool, PhotoRows, joint_covariance, photo_rows
-from calib.network_views import angle_to_views_deg, seen_points
+from calib.network_views import angle_to_views_deg, seen_points, view_table
 from calib.solution import IntArray
 from mission.plan import Station, Vehicle
 from mission.planned_network import PlannedNetwork, poses
@@ -19,6 +19,8 @@ from mission.route import Detours, Gap
 MOST_POINTS, CHECK_POINTS, LEAST_POINTS = 16, 36, 8
 #: Points of the network around the place of the extra photos, at most.
 WINDOW_POINTS = 260
+#: Around each of several places.
+WINDOW_POINTS_EACH = 140
 #: Tilts off nadir, heights over the survey's, and numbers of photos of the rings tried.
 TILTS_DEG = (20.0, 30.0, 40.0)
 HEIGHT_FACTORS = (1.0, 1.3)
@@ -27,12 +29,12 @@ PATTERN = "fix"
 
 
 class Candidates:
-    """A pool of photos over one network around ``middle_m`` (2,), growing while it is searched."""
+    """A pool of photos over one network around ``middles_m`` (k, 2), growing while it is searched."""
 
     def __init__(
         self,
         planned: PlannedNetwork,
-        middle_m: FloatArray,
+        middles_m: FloatArray,
         vehicle: Vehicle,
         gaps: Sequence[Gap],
         feasible: Callable[[Station], bool] | None,
@@ -41,20 +43,22 @@ class Candidates:
         self.planned, self.vehicle, self.most_points = planned, vehicle, most_points
         self.feasible = feasible or (lambda _: True)
         net = planned.network
-        away = np.linalg.norm(net.points_m[:, :2] - middle_m, axis=1)
-        near = np.argsort(away, kind="stable")[:WINDOW_POINTS]
-        near = np.sort(near[away[near] < 2.5 * planned.height_agl_m])
+        away = np.linalg.norm(net.points_m[:, None, :2] - middles_m, axis=2)
+        each = WINDOW_POINTS if len(middles_m) == 1 else WINDOW_POINTS_EACH
+        nearest = np.argsort(away, axis=0, kind="stable")[:each].ravel()
+        near = np.unique(nearest[away[nearest].min(axis=1) < 2.5 * planned.height_agl_m])
         self.joint: Joint = joint_covariance(net, planned.known, planned.functionals, near)
         place = np.full(len(net.points_m), -1)
         place[near] = np.arange(len(near))
         views = place[net.point] >= 0
-        self._view_point = place[net.point[views]]
         ray = net.centres_m[net.photo[views]] - net.points_m[net.point[views]]
-        self._view_ray = ray / np.linalg.norm(ray, axis=1, keepdims=True)
+        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+        self._views = view_table(ray, place[net.point[views]], len(near))
         self.stations: list[Station] = []
         self.pool = PhotoPool(self.joint, [])
         self.detours = Detours(vehicle, gaps, np.zeros((0, 3)))
         self._index: dict[Station, int] = {}
+        self._useless: set[Station] = set()
 
     def add(self, stations: Sequence[Station]) -> list[int | None]:
         """Their numbers in the pool; None where a photo is not allowed or sees too little."""
@@ -62,12 +66,15 @@ class Candidates:
             s
             for s in dict.fromkeys(stations)
             if s not in self._index
+            and s not in self._useless
             and self.vehicle.gimbal_lowest_deg <= s.pitch_deg <= self.vehicle.gimbal_highest_deg
             and self.feasible(s)
         ]
         kept = []
         for station, rows in zip(new, self._rows(new), strict=True):
-            if rows is not None:
+            if rows is None:
+                self._useless.add(station)
+            else:
                 self._index[station] = len(self.stations)
                 self.stations.append(station)
                 self.pool.rows.append(rows)
@@ -93,7 +100,7 @@ class Candidates:
         )
         ray = centres[photo] - joint.points_m[point]
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-        angle = angle_to_views_deg(ray, point, self._view_ray, self._view_point, len(joint.points_m))
+        angle = angle_to_views_deg(ray, point, self._views)
         share = given.matching.share(angle)
         used = share > 0.02
         photo, point, share = photo[used], point[used], share[used]

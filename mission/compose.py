@@ -66,9 +66,9 @@ def compose_with_notes(names: Sequence[str], site: Site) -> Composition:
         groups = [[piece] for piece in part.pieces] if loops else [list(part.pieces)]
         for group in groups:
             for piece in ordered(group, here, home):
-                waypoints += _joined(around, here, piece, part.pattern)
+                waypoints += joined(around, here, piece, part.pattern)
                 here = waypoints[-1].enu_m
-    waypoints += _way_home(site.wall_site() if parts[-1].pattern == "wall" else site, waypoints[-1])
+    waypoints += way_home(site.wall_site() if parts[-1].pattern == "wall" else site, waypoints[-1])
     vehicle = site.vehicle
     speed = _camera_speed_m_s(waypoints, vehicle.camera_interval_s)
     if speed < vehicle.speed_m_s:
@@ -96,7 +96,12 @@ def _check_launch(site: Site) -> None:
             raise InputError(f"The launch point lies inside {structure.name}; choose another (--launch).")
 
 
-def _joined(site: Site, here_m: FloatArray, piece: Piece, pattern: str) -> list[Waypoint]:
+def joined(site: Site, here_m: FloatArray, piece: Piece, pattern: str) -> list[Waypoint]:
+    """A piece with the way to it from ``here_m`` (3,), round and over what is in the way.
+
+    Raises:
+        InputError: fence and structures leave no way.
+    """
     first = piece.waypoints[0]
     start = np.array([*here_m[:2], first.height_m]) if not np.any(here_m[:2]) else here_m
     way = connection(site, start, first.enu_m, first)
@@ -122,7 +127,7 @@ def _joined(site: Site, here_m: FloatArray, piece: Piece, pattern: str) -> list[
     return joined
 
 
-def _way_home(site: Site, last: Waypoint) -> list[Waypoint]:
+def way_home(site: Site, last: Waypoint) -> list[Waypoint]:
     """Corners to fly before turning home, where the straight way is not allowed."""
     start, home = last.enu_m, np.array([0.0, 0.0, last.height_m])
     corners = site.space.route(start, home)

@@ -7,19 +7,19 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 
 import numpy as np
-import shapely
-import shapely.ops
 from shapely import Polygon
 
 from calib.camera import FloatArray
 from calib.limits import percent
 from mission.candidates import Candidates, rings, single_stations
-from mission.optimise import Choice, Criterion, Search
+from mission.optimise import MOST_ADDED, Choice, Criterion, Search, Worths
+from mission.places import places_of_pass
 from mission.plan import Plan, Station, stations, stop
 from mission.planned_network import Assumptions, PlannedNetwork, ground_heights_m, planned_network
 from mission.prediction import Prediction, predict_stations
 from mission.route import Gap, plan_gaps, with_stops
 from mission.terrain_height import LevelGround, Terrain
+from mission.timing import minutes, timing
 
 #: Gaps of the path that are looked at, the nearest to the place of the extra photos.
 MOST_GAPS = 6
@@ -63,19 +63,22 @@ def fix(
     given, wanted = assumptions or Assumptions(), criterion or Criterion()
     ground = LevelGround() if terrain is None else terrain
     photos = stations(plan)
-    before = predict_stations(photos, plan.camera, ground, area, given)
+    planned = planned_network(photos, plan.camera, ground, given)
+    before = predict_stations(photos, plan.camera, ground, area, given, planned)
     if wanted.ratio((before.sigma_f_percent, before.dome_percent)) <= 1 and not wanted.least_photos:
         return Fix(plan, (), 0.0, before, before, f"No photos need to be added. {_known(before)}", None)
-    planned = planned_network(photos, plan.camera, ground, given)
-    middle = place_of_pass(plan, planned, area)
-    at_ground = float(ground_heights_m(ground, np.array([[*middle, 0.0]]))[0])
-    gaps = _nearest(plan_gaps(plan), middle)
-    candidates = Candidates(planned, middle, plan.vehicle, gaps, feasible)
-    choice = search(candidates, middle, at_ground, wanted)
+    places = places_of_pass(plan, planned, area)
+    candidates, choice = _at_places(plan, planned, ground, places[:1], feasible, wanted)
+    if not choice.good and len(places) > 1:
+        # Photos at one place soon say the same again; large blocks need them at several.
+        several = _at_places(plan, planned, ground, places, feasible, wanted)
+        if several[1].good or several[1].ratio < choice.ratio:
+            candidates, choice = several
     if not choice.photos:
         return Fix(
             plan, (), 0.0, before, before, f"Nothing can be added. {_known(before)}", _nothing(candidates)
         )
+    gaps = candidates.detours.gaps
     order = candidates.detours.order(choice.photos)
     stops = [[stop(candidates.stations[i]) for i in way] for way in order]
     fixed = with_stops(plan, gaps, stops)
@@ -88,25 +91,55 @@ def fix(
         before,
         after,
         _reason(added, choice, before, after),
-        None if choice.good else _short_of(choice, candidates, wanted),
+        None if choice.good else _short_of(choice, candidates, wanted, plan),
     )
 
 
-def search(candidates: Candidates, middle_m: FloatArray, ground_m: float, criterion: Criterion) -> Choice:
-    """The best choice among single stations and rings around ``middle_m``, polished."""
+def _at_places(
+    plan: Plan,
+    planned: PlannedNetwork,
+    ground: Terrain,
+    places_m: FloatArray,
+    feasible: Callable[[Station], bool] | None,
+    criterion: Criterion,
+) -> tuple[Candidates, Choice]:
+    """Photos around places (k, 2) to choose from, and the best choice."""
+    gaps = plan_gaps(plan)
+    each = max(MOST_GAPS // len(places_m), 2)
+    chosen = {gap.index: gap for place in places_m for gap in _nearest(gaps, place, each)}
+    near = tuple(chosen[index] for index in sorted(chosen))
+    candidates = Candidates(planned, places_m, plan.vehicle, near, feasible)
+    grounds = ground_heights_m(ground, np.column_stack([places_m, np.zeros(len(places_m))]))
+    return candidates, search(candidates, places_m, grounds, criterion)
+
+
+def search(
+    candidates: Candidates, places_m: FloatArray, grounds_m: FloatArray, criterion: Criterion
+) -> Choice:
+    """The best choice among single stations and rings around places (k, 2), polished.
+
+    ``grounds_m`` (k,): ground heights there. Single stations are offered at one place only: at several
+    the rings' are enough.
+    """
     height = candidates.planned.height_agl_m
-    candidates.add(single_stations(middle_m, ground_m, height))
+    ground_m = float(grounds_m[0])
+    if len(places_m) == 1:
+        candidates.add(single_stations(places_m[0], ground_m, height))
     sets = []
-    for ring in rings(middle_m, ground_m, height):
-        found = [i for i in candidates.add(ring) if i is not None]
-        if found:
+    around = [rings(place, float(at), height) for place, at in zip(places_m, grounds_m, strict=True)]
+    for alike in zip(*around, strict=True):
+        found = [i for i in candidates.add([s for ring in alike for s in ring]) if i is not None]
+        if found and len(found) <= MOST_ADDED:
             sets.append(found)
     if not candidates.stations:
         return Choice((), 0.0, math.inf)
     wanted = criterion
+    worths = Worths(candidates.pool, candidates.planned.worth)
     for _ in range(4):
-        hunt = Search(candidates.pool, candidates.planned.worth, candidates.detours, wanted)
-        choice = polish(candidates, hunt, hunt.best(sets), ground_m)
+        hunt = Search(worths, candidates.detours, wanted)
+        choice = hunt.best(sets)
+        if len(places_m) == 1:
+            choice = polish(candidates, hunt, choice, ground_m)
         # The search thins the points of a photo; the answer is checked with all of them.
         dense = _dense_ratio(candidates, choice, criterion)
         if not choice.good or dense <= 1:
@@ -121,7 +154,7 @@ def search(candidates: Candidates, middle_m: FloatArray, ground_m: float, criter
 def _dense_ratio(candidates: Candidates, choice: Choice, criterion: Criterion) -> float:
     """The criterion's ratio of a choice with all points that its photos see."""
     dense = candidates.dense_pool(choice.photos)
-    check = Search(dense, candidates.planned.worth, candidates.detours, criterion)
+    check = Search(Worths(dense, candidates.planned.worth), candidates.detours, criterion)
     return check.ratio(range(len(dense)))
 
 
@@ -139,6 +172,8 @@ def polish(candidates: Candidates, hunt: Search, choice: Choice, ground_m: float
             for seconds, i in options[:3]:
                 if seconds > choice.seconds - 0.1:
                     break
+                if hunt.hopeless(choice.photos, one, i):
+                    continue
                 found = hunt.choice((*rest, i))
                 if found.good and found.seconds < choice.seconds - 0.1:
                     choice, improved = found, True
@@ -171,30 +206,12 @@ def _moved(station: Station, step_m: float, ground_m: float) -> list[Station]:
     return found
 
 
-def place_of_pass(plan: Plan, planned: PlannedNetwork, area: Polygon | None) -> FloatArray:
-    """Middle (2,) of the ground that extra photos look at: well inside the block, near the way home."""
-    centres = planned.network.centres_m[:, :2]
-    hull = area if area is not None else shapely.MultiPoint(centres).convex_hull
-    inner = hull
-    for share in (1.0, 0.7, 0.4):
-        shrunk = hull.buffer(-share * planned.height_agl_m)
-        if not shrunk.is_empty:
-            inner = shrunk
-            break
-    else:
-        inner = hull.centroid
-    path = plan.path_m
-    last = shapely.Point(path[-2][:2] if len(path) > 2 else path[0][:2])
-    nearest = shapely.ops.nearest_points(inner, last)[0]
-    return np.array([nearest.x, nearest.y])
-
-
-def _nearest(gaps: Sequence[Gap], middle_m: FloatArray) -> tuple[Gap, ...]:
+def _nearest(gaps: Sequence[Gap], middle_m: FloatArray, count: int) -> tuple[Gap, ...]:
     def away(gap: Gap) -> float:
         ends = np.array([gap.start_m[:2], gap.end_m[:2]])
         return float(np.linalg.norm(ends - middle_m, axis=1).sum() - np.linalg.norm(ends[1] - ends[0]))
 
-    return tuple(sorted(sorted(gaps, key=away)[:MOST_GAPS], key=lambda g: g.index))
+    return tuple(sorted(gaps, key=away)[:count])
 
 
 def _known(prediction: Prediction) -> str:
@@ -233,9 +250,42 @@ def _nothing(candidates: Candidates) -> str:
     )
 
 
-def _short_of(choice: Choice, candidates: Candidates, criterion: Criterion) -> str:
-    return (
-        f"Even the best {len(choice.photos)} of {len(candidates.stations)} allowed photos leave "
-        f"{choice.ratio:.1f} times what is asked for (focal length {percent(criterion.sigma_f_percent)}, "
-        f"bending {percent(criterion.dome_percent)} of the flying height) when one of them fails."
+def _short_of(choice: Choice, candidates: Candidates, criterion: Criterion, plan: Plan) -> str:
+    """What stands against the criterion: which of its two limits, and what it would take."""
+    pool = candidates.dense_pool(choice.photos)
+    sigma_f, dome = Worths(pool, candidates.planned.worth).worst(tuple(range(len(pool))))
+    f_short, dome_short = sigma_f > criterion.sigma_f_percent, dome > criterion.dome_percent
+    lacks = []
+    if f_short:
+        lacks.append(
+            f"the focal length to {percent(sigma_f)} where {percent(criterion.sigma_f_percent)} is asked"
+        )
+    if dome_short:
+        lacks.append(
+            f"the site's bending to {percent(dome)} of the flying height where "
+            f"{percent(criterion.dome_percent)} is asked"
+        )
+    text = (
+        f"Even the best {len(choice.photos)} of {len(candidates.stations)} allowed photos, with one of them "
+        f"failing, would tell {' and '.join(lacks) or 'too little'}."
     )
+    if not math.isfinite(choice.ratio):
+        return text
+    # Information adds up, so what is left open falls with the root of their number.
+    times = choice.ratio**2
+    vehicle = plan.vehicle
+    spare_s = (1 - vehicle.reserve_share) * vehicle.endurance_s - timing(plan).duration_s
+    text += (
+        f" About {times * len(choice.photos):.0f} photos and {minutes(times * choice.seconds)} would do it"
+    )
+    text += (
+        ", and the battery has nothing to spare"
+        if spare_s <= 0
+        else f", and the battery has {minutes(spare_s)} to spare"
+    )
+    if dome_short and not f_short:
+        return (
+            text
+            + ". It is the size of the area against the height that binds: fly higher, or plan it in parts."
+        )
+    return text + "."

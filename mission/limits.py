@@ -50,6 +50,11 @@ def check_limits(plan: Plan, site: Site, items: int | None = None) -> tuple[Find
     return (*(check(plan, site) for check in checks), _items(plan, items))
 
 
+def item_count(plan: Plan) -> int:
+    """Mission items, about: home, take-off, way home; a waypoint each; the camera's and gimbal's."""
+    return 3 + len(plan.waypoints) + 2 * sum(w.shot is not Shot.NONE for w in plan.waypoints)
+
+
 def hard_violations(findings: tuple[Finding, ...]) -> tuple[Finding, ...]:
     """Those for which a plan is not to be flown."""
     return tuple(f for f in findings if f.hard and not f.ok)
@@ -125,8 +130,8 @@ def _endurance(plan: Plan, site: Site) -> Finding:
     else:
         batteries = math.ceil(share / max(limit, 1e-9))
         message += (
-            f", so {limit:.0f} % are available: fly higher, ask for less overlap, or split the area for "
-            f"{batteries} batteries."
+            f", so {limit:.0f} % are available: let it be split into {batteries} missions or more (--split), "
+            "fly higher, or ask for less overlap."
         )
     return Finding("endurance", True, ok, share, limit, "%", message)
 
@@ -145,10 +150,9 @@ def _overlap(plan: Plan, site: Site) -> Finding:
 
 def _items(plan: Plan, items: int | None) -> Finding:
     if items is None:
-        # Home, take-off, way home; a waypoint each; the camera's command where it does something.
-        items = 3 + len(plan.waypoints) + 2 * sum(w.shot is not Shot.NONE for w in plan.waypoints)
+        items = item_count(plan)
     most = plan.vehicle.most_items
     ok = items <= most
     message = f"The mission has about {items} items, and the autopilot holds {most}"
-    message += "." if ok else ": split the area, or follow the terrain less closely (fly higher)."
+    message += "." if ok else ": let it be split (--split), or follow the terrain less closely (fly higher)."
     return Finding("item-limit", True, ok, float(items), float(most), "items", message)

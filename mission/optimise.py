@@ -10,6 +10,8 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
+from functools import lru_cache, partial
+from itertools import combinations, starmap
 
 import numpy as np
 
@@ -28,6 +30,8 @@ SHORT_LIST = 80
 SMALL_POOL = 200
 #: Of the exchanges that save time, how many are looked at, and of those how many tried in full.
 _LOOKED_AT, _TRIED = 40, 3
+#: Joint covariances remembered, of some megabytes each.
+_JOINTS_KEPT = 3
 
 
 @dataclass(frozen=True)
@@ -60,40 +64,82 @@ class Choice:
         return self.ratio <= 1.0
 
 
-class Search:
-    """Chooses photos of a pool.
+class Worths:
+    """(sigma f, dome sigma) in percent with photos of a pool, remembered: they serve any criterion.
 
     Args:
         worth: covariance of lens and functionals -> (sigma f, dome sigma) in percent.
     """
 
+    def __init__(self, pool: PhotoPool, worth: Callable[[FloatArray], tuple[float, float]]) -> None:
+        self.pool, self.worth = pool, worth
+        self._worst: dict[tuple[int, ...], tuple[float, float]] = {}
+        self._one_more: dict[tuple[tuple[int, ...], int], tuple[float, float]] = {}
+        self._joints: dict[tuple[int, ...], Joint] = {}
+
+    def worst(self, photos: tuple[int, ...]) -> tuple[float, float]:
+        """The larger of either with any one of the photos (sorted) missing."""
+        if photos not in self._worst:
+            if not photos:
+                self._worst[photos] = self.worth(self.pool.joint.head)
+            else:
+                with_all = self.pool.combined(photos)
+                each = [self.worth(with_all.without(a)) for a in range(len(photos))]
+                self._worst[photos] = (max(e[0] for e in each), max(e[1] for e in each))
+        return self._worst[photos]
+
+    def one_more(
+        self, photos: tuple[int, ...], i: int, joint: Callable[[], Joint] | None = None
+    ) -> tuple[float, float]:
+        """With ``photos`` and photo ``i``, none missing. ``joint``: how to come by that of ``photos``."""
+        if (photos, i) not in self._one_more:
+            now = self.joint(photos) if joint is None else joint()
+            self._one_more[photos, i] = self.worth(now.head_with(self.pool.rows[i]))
+        return self._one_more[photos, i]
+
+    def joint(self, photos: tuple[int, ...]) -> Joint:
+        """Of the network with ``photos``; the last few are kept."""
+        if not photos:
+            return self.pool.joint
+        if photos not in self._joints:
+            made = self.joint(photos[:-1]).with_photo(self.pool.rows[photos[-1]])
+            while len(self._joints) >= _JOINTS_KEPT:
+                del self._joints[next(iter(self._joints))]
+            self._joints[photos] = made
+        return self._joints[photos]
+
+
+def _never(one: int, other: int) -> bool:
+    del one, other
+    return False
+
+
+class Search:
+    """Chooses photos of a pool.
+
+    Args:
+        alike: two photos of the pool of which a choice takes only one; None: there are none.
+    """
+
     def __init__(
         self,
-        pool: PhotoPool,
-        worth: Callable[[FloatArray], tuple[float, float]],
+        worths: Worths,
         detours: Detours,
         criterion: Criterion,
+        alike: Callable[[int, int], bool] | None = None,
     ) -> None:
-        self.pool, self.worth, self.detours, self.criterion = pool, worth, detours, criterion
-        self._known: dict[tuple[int, ...], float] = {}
-        self._singles: dict[int, float] = {}
+        self.alike = alike or _never
+        self.worths, self.pool, self.detours, self.criterion = worths, worths.pool, detours, criterion
 
     def ratio(self, photos: Sequence[int]) -> float:
         """The criterion's ratio with the worst photo missing; infinite with too few of them."""
         key = tuple(sorted(photos))
-        if key not in self._known:
-            if len(key) < self.criterion.least_photos:
-                worst = math.inf
-            elif not key:
-                worst = self._one_ratio(self.pool.joint.head)
-            else:
-                with_all = self.pool.combined(key)
-                worst = max(self._one_ratio(with_all.without(a)) for a in range(len(key)))
-            self._known[key] = worst
-        return self._known[key]
+        if len(key) < self.criterion.least_photos or any(starmap(self.alike, combinations(key, 2))):
+            return math.inf
+        return self.criterion.ratio(self.worths.worst(key))
 
     def _one_ratio(self, head: FloatArray) -> float:
-        return self.criterion.ratio(self.worth(head))
+        return self.criterion.ratio(self.worths.worth(head))
 
     def choice(self, photos: Sequence[int]) -> Choice:
         """A set of photos as a :class:`Choice`."""
@@ -106,36 +152,28 @@ class Search:
         Given up where that takes more than ``most_s`` or ``MOST_ADDED`` photos.
         """
         chosen = list(start)
-        joint = self._joint(chosen)
-        left = [i for i in range(len(self.pool)) if i not in chosen]
+        now = self._one_ratio(self.worths.joint(tuple(chosen)).head)
+        left = [i for i in range(len(self.pool)) if i not in chosen and not self._taken(i, chosen)]
         while left and len(chosen) < MOST_ADDED and self.detours.seconds(chosen) <= most_s:
-            now = self._one_ratio(joint.head)
             # With a photo missing it is worse still.
             if now <= 1.0 and self.ratio(chosen) <= 1.0:
                 break
             cost = self.detours.insertion_s(chosen)
-            after = {i: self._with_one(joint, i) if chosen else self._alone(i) for i in left}
+            after = {i: self._with_one(tuple(chosen), i) for i in left}
             gain = {i: math.log(now / after[i]) / (cost[i] if by_time else 1.0) for i in left}
             # What helps little now helps little later: information of more photos only overlaps.
             left = sorted(left, key=lambda i: (-gain[i], i))[:SHORT_LIST]
             chosen.append(left.pop(0))
-            joint = joint.with_photo(self.pool.rows[chosen[-1]])
+            left = [i for i in left if not self.alike(i, chosen[-1])]
+            now = after[chosen[-1]]
         return self.choice(chosen)
 
-    def _with_one(self, joint: Joint, i: int) -> float:
-        return self._one_ratio(joint.head_with(self.pool.rows[i]))
+    def _taken(self, i: int, chosen: Sequence[int]) -> bool:
+        return any(self.alike(i, one) for one in chosen)
 
-    def _alone(self, i: int) -> float:
-        """The ratio with one photo of the pool, none missing."""
-        if i not in self._singles:
-            self._singles[i] = self._with_one(self.pool.joint, i)
-        return self._singles[i]
-
-    def _joint(self, photos: Sequence[int]) -> Joint:
-        joint = self.pool.joint
-        for i in photos:
-            joint = joint.with_photo(self.pool.rows[i])
-        return joint
+    def _with_one(self, photos: tuple[int, ...], i: int, joint: Callable[[], Joint] | None = None) -> float:
+        """The ratio with one photo more, none missing."""
+        return self.criterion.ratio(self.worths.one_more(photos, i, joint))
 
     def exchange(self, choice: Choice) -> Choice:
         """Leave photos out and swap them for others as long as that saves time and stays good."""
@@ -161,7 +199,6 @@ class Search:
         return None
 
     def _with_another(self, choice: Choice) -> Choice | None:
-        with_all = self._joint(choice.photos)
         for one in choice.photos:
             rest = tuple(p for p in choice.photos if p != one)
             cost = self.detours.seconds(rest) + self.detours.insertion_s(rest)
@@ -169,18 +206,27 @@ class Search:
             cheaper = [int(i) for i in order if cost[i] < choice.seconds - 0.1 and i not in choice.photos]
             if not cheaper:
                 continue
-            joint = with_all.without_photo(self.pool.rows[one])
             tried = 0
             for i in cheaper[:_LOOKED_AT]:
-                if self._with_one(joint, i) > 1.0:
+                if self._taken(i, rest) or self.hopeless(choice.photos, one, i):
                     continue
-                found = self.choice((*rest, i))
-                if found.good and found.seconds < choice.seconds - 0.05:
-                    return found
+                if self.detours.seconds((*rest, i)) < choice.seconds - 0.05:
+                    found = self.choice((*rest, i))
+                    if found.good:
+                        return found
                 tried += 1
                 if tried == _TRIED:
                     break
         return None
+
+    def hopeless(self, photos: tuple[int, ...], one: int, instead: int) -> bool:
+        """Whether ``instead`` in place of ``one`` misses the criterion even with none of them missing."""
+        rest = tuple(p for p in photos if p != one)
+        return self._with_one(rest, instead, partial(self._joint_without, photos, one)) > 1.0
+
+    @lru_cache(maxsize=2)  # noqa: B019 a search lives as long as its answer takes
+    def _joint_without(self, photos: tuple[int, ...], one: int) -> Joint:
+        return self.worths.joint(photos).without_photo(self.pool.rows[one])
 
     def best(self, sets: Sequence[Sequence[int]] = ()) -> Choice:
         """The best choice from several starts: greedy ones, and given sets (orbits, fans).
@@ -194,7 +240,7 @@ class Search:
             if found[-1].good:
                 break
         # Small pools are searched from many first photos.
-        firsts = sorted(range(len(self.pool)), key=lambda i: (self._alone(i), i))
+        firsts = sorted(range(len(self.pool)), key=lambda i: (self._with_one((), i), i))
         starts: list[tuple[int, ...]] = [(), *((i,) for i in firsts[: min(SMALL_POOL // len(firsts), 10)])]
         for start in starts:
             for by_time in (True, False):

@@ -22,7 +22,14 @@ from calib.network_views import seen_points
 from calib.propagation import radial_px_covariance
 from calib.rules_network import convergent_share, focal_sigma
 from mission.plan import Plan, Station, stations
-from mission.planned_network import Assumptions, ground_heights_m, ground_points, planned_network, poses
+from mission.planned_network import (
+    Assumptions,
+    PlannedNetwork,
+    ground_heights_m,
+    ground_points,
+    planned_network,
+    poses,
+)
 from mission.terrain_height import LevelGround, Terrain
 
 #: Places of the area at which overlap and ground resolution are looked at.
@@ -82,9 +89,10 @@ def predict_stations(
     terrain: Terrain,
     area: Polygon | None,
     assumptions: Assumptions,
+    planned: PlannedNetwork | None = None,
 ) -> Prediction:
-    """:func:`predict` for photos without a plan around them."""
-    planned = planned_network(photos, camera, terrain, assumptions)
+    """:func:`predict` for photos without a plan around them. ``planned``: their network, where known."""
+    planned = planned or planned_network(photos, camera, terrain, assumptions)
     net, factor = planned.network, assumptions.model_error_factor
     information = lens_information(net, planned.known, planned.functionals)
     jacobian = fit_brown(net.lens)[1]

@@ -3,9 +3,9 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
-from itertools import combinations, pairwise
+from itertools import pairwise
 
 import numpy as np
 
@@ -69,6 +69,7 @@ class Detours:
         self.vehicle, self.gaps = vehicle, tuple(gaps)
         self._stations = np.zeros((0, 3))
         self._between = np.zeros((0, 0))
+        self._from = self._to = np.zeros((len(self.gaps), 0))
         starts = np.array([g.start_m for g in gaps])
         ends = np.array([g.end_m for g in gaps])
         self._direct = legs_s(vehicle, starts, ends)
@@ -78,17 +79,23 @@ class Detours:
 
     def add(self, stations_m: FloatArray) -> None:
         """More stations, numbered on."""
-        s = np.concatenate([self._stations, stations_m.reshape(-1, 3)])
-        self._stations = s
-        self._between = legs_s(self.vehicle, s[:, None], s[None])
-        self._from = legs_s(self.vehicle, self._starts[:, None], s[None])
-        self._to = legs_s(self.vehicle, s[None], self._ends[:, None])
+        new = stations_m.reshape(-1, 3)
+        s, old = np.concatenate([self._stations, new]), len(self._stations)
+        between = np.empty((len(s), len(s)))
+        between[:old, :old] = self._between
+        between[old:] = legs_s(self.vehicle, new[:, None], s[None])
+        between[:old, old:] = legs_s(self.vehicle, s[:old, None], new[None])
+        self._stations, self._between = s, between
+        begin = legs_s(self.vehicle, self._starts[:, None], new[None])
+        finish = legs_s(self.vehicle, new[None], self._ends[:, None])
+        self._from = np.concatenate([self._from, begin], axis=1)
+        self._to = np.concatenate([self._to, finish], axis=1)
 
     def keep(self, count: int) -> None:
         """Forget all stations but the first ``count``."""
-        kept, self._stations = self._stations[:count], np.zeros((0, 3))
         self._known.clear()
-        self.add(kept)
+        self._stations, self._between = self._stations[:count], self._between[:count, :count]
+        self._from, self._to = self._from[:, :count], self._to[:, :count]
 
     def seconds(self, chosen: Sequence[int]) -> float:
         """Extra time in the air for the photos ``chosen``."""
@@ -114,61 +121,96 @@ class Detours:
             return float(self._direct[gap] if b < 0 else self._from[gap, b])
         return float(self._to[gap, a] if b < 0 else self._between[a, b])
 
-    def _insert(self, ways: list[list[int]], station: int) -> float:
-        """Put a station where it costs least; returns the cost."""
-        best, at = math.inf, (0, 0)
-        for gap, way in enumerate(ways):
-            stops = [-1, *way, -1]
-            for place in range(len(way) + 1):
-                before, after = stops[place], stops[place + 1]
-                cost = self._leg(gap, before, station) + self._leg(gap, station, after)
-                cost -= self._leg(gap, before, after)
-                if cost < best - 1e-9:
-                    best, at = cost, (gap, place)
-        ways[at[0]].insert(at[1], station)
-        return best
-
-    def _total(self, ways: list[list[int]]) -> float:
-        total = 0.0
-        for gap, way in enumerate(ways):
-            if way:
-                stops = [-1, *way, -1]
-                total += sum(self._leg(gap, a, b) for a, b in pairwise(stops))
-                total += self.vehicle.settle_s * len(way) - float(self._direct[gap])
-        return total
-
-    def _neighbours(self, ways: list[list[int]], chosen: tuple[int, ...]) -> Iterator[list[list[int]]]:
-        for station in chosen:
-            moved = [[s for s in way if s != station] for way in ways]
-            self._insert(moved, station)
-            yield moved
-        for gap, way in enumerate(ways):
-            for first, last in combinations(range(len(way)), 2):
-                turned = way[:first] + way[first : last + 1][::-1] + way[last + 1 :]
-                yield [*ways[:gap], turned, *ways[gap + 1 :]]
-
-    def _polished(self, chosen: tuple[int, ...]) -> tuple[float, list[list[int]]]:
-        """Ways through the stations, inserted in the given order."""
-        ways: list[list[int]] = [[] for _ in self.gaps]
-        for station in chosen:
-            self._insert(ways, station)
-        total = self._total(ways)
-        for _ in range(_POLISHES):
-            for trial in self._neighbours(ways, chosen):
-                cost = self._total(trial)
-                if cost < total - 1e-9:
-                    ways, total = trial, cost
-                    break
-            else:
-                break
-        return total, ways
+    def _legs(self, chosen: tuple[int, ...]) -> _Legs:
+        """The times among a few stations."""
+        some = np.array(chosen, dtype=np.intp)
+        tables = []
+        for gap in range(len(self.gaps)):
+            table = np.empty((len(some) + 1, len(some) + 1))
+            table[:-1, :-1] = self._between[np.ix_(some, some)]
+            table[-1, :-1], table[:-1, -1] = self._from[gap, some], self._to[gap, some]
+            table[-1, -1] = self._direct[gap]
+            tables.append(table.tolist())
+        return _Legs(tables, self.vehicle.settle_s)
 
     def _best(self, chosen: tuple[int, ...]) -> tuple[float, tuple[tuple[int, ...], ...]]:
         if chosen in self._known:
             return self._known[chosen]
-        total, ways = min(self._polished(start) for start in (chosen, chosen[::-1]))
-        self._known[chosen] = (total, tuple(tuple(way) for way in ways))
+        legs = self._legs(chosen)
+        places = range(len(chosen))
+        total, ways = min(legs.polished(start) for start in (tuple(places), tuple(places[::-1])))
+        self._known[chosen] = (total, tuple(tuple(chosen[p] for p in way) for way in ways))
         return self._known[chosen]
+
+
+@dataclass(frozen=True)
+class _Legs:
+    """Times among a few stations, as plain numbers, which are looked up faster than arrays' elements.
+
+    ``seconds[gap][a][b]``: from station a to station b; -1 stands for the gap's start or end.
+    """
+
+    seconds: list[list[list[float]]]
+    settle_s: float
+
+    def insert(self, ways: list[list[int]], station: int) -> None:
+        """Put a station where it costs least."""
+        best, at = math.inf, (0, 0)
+        for gap, way in enumerate(ways):
+            leg = self.seconds[gap]
+            into = leg[station]
+            before = -1
+            for place, after in enumerate([*way, -1]):
+                cost = leg[before][station] + into[after] - leg[before][after]
+                if cost < best - 1e-9:
+                    best, at = cost, (gap, place)
+                before = after
+        ways[at[0]].insert(at[1], station)
+
+    def total(self, ways: list[list[int]]) -> float:
+        total = 0.0
+        for leg, way in zip(self.seconds, ways, strict=True):
+            if way:
+                total += sum([leg[a][b] for a, b in pairwise([-1, *way, -1])])
+                total += self.settle_s * len(way) - leg[-1][-1]
+        return total
+
+    def moved(self, ways: list[list[int]], chosen: tuple[int, ...], total: float) -> list[list[int]] | None:
+        """The ways with the first station moved that is better elsewhere."""
+        for station in chosen:
+            trial = [[s for s in way if s != station] for way in ways]
+            self.insert(trial, station)
+            if self.total(trial) < total - 1e-9:
+                return trial
+        return None
+
+    def turned(self, ways: list[list[int]]) -> list[list[int]] | None:
+        """The ways with the first run of stations turned round that is better so."""
+        for gap, (leg, way) in enumerate(zip(self.seconds, ways, strict=True)):
+            stops = [-1, *way, -1]
+            for first in range(len(way)):
+                before, inner = leg[stops[first]], 0.0
+                for last in range(first + 1, len(way)):
+                    one, after = way[last], stops[last + 2]
+                    inner += leg[one][way[last - 1]] - leg[way[last - 1]][one]
+                    now = before[way[first]] + leg[one][after]
+                    if before[one] + leg[way[first]][after] + inner < now - 1e-9:
+                        turned = way[:first] + way[first : last + 1][::-1] + way[last + 1 :]
+                        return [*ways[:gap], turned, *ways[gap + 1 :]]
+        return None
+
+    def polished(self, chosen: tuple[int, ...]) -> tuple[float, list[list[int]]]:
+        """Ways through the stations, inserted in the given order."""
+        ways: list[list[int]] = [[] for _ in self.seconds]
+        for station in chosen:
+            self.insert(ways, station)
+        total = self.total(ways)
+        for _ in range(_POLISHES):
+            better = self.moved(ways, chosen, total) or self.turned(ways)
+            if better is None:
+                break
+            ways, total = better, self.total(better)
+        return total, ways
 
 
 def with_stops(plan: Plan, gaps: Sequence[Gap], stops: Sequence[Sequence[Waypoint]]) -> Plan:

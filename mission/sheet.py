@@ -98,7 +98,14 @@ def _prediction(planned: Planned) -> str:
     rows = [
         ("Verdict to expect", VERDICT_WORDS[p.verdict]),
         ("Focal length known to", quantity(p.sigma_f_percent, None, "%", 2)),
-        ("Dome or dish, one sigma", f"{quantity(p.dome_percent, None, '%', 2)} of the height"),
+        (
+            "Dome or dish, one sigma",
+            f"{quantity(p.dome_percent, None, '%', 2)} of the height, {100 * p.dome_sigma_m:.2g} cm",
+        ),
+        (
+            "K1, K2, K3, one sigma",
+            ", ".join(f"{k:.1e} px^-{n}" for k, n in zip(p.sigma_k_px, (2, 4, 6), strict=True)),
+        ),
         ("Correlation of K1 and K2", quantity(p.k1_k2_correlation, None, "", 3)),
         ("Convergent photos", quantity(100 * p.convergent_share, None, "%", 2)),
         ("Photos of the worst place", str(p.least_views)),

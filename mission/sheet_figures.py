@@ -14,15 +14,10 @@ from shapely.geometry.base import BaseGeometry
 from calib.camera import FloatArray
 from calib.figures.style import BELOW, FLIGHT, INK, MUTED, REFERENCE, float32, styled
 from calib.wording import html_text
-from mission.footprint import outline_m
-from mission.limits_path import path_samples_m, way_home_m
-from mission.plan import Plan, Station, stations
+from mission.plan import Station, stations
 from mission.planned import Planned
+from mission.sheet_data import MOST_FOOTPRINTS, extent, profile, views
 
-#: Footprints and places drawn at most; more only slow a phone down.
-_MOST_FOOTPRINTS = 40
-_MOST_SAMPLES = 3000
-_VIEW_CELLS = 60
 #: Markers and colours of patterns, straight down first.
 _STYLES = {
     "nadir": ("circle", REFERENCE),
@@ -44,7 +39,7 @@ def map_figure(planned: Planned) -> go.Figure:
     _outline(figure, site.area, "area", INK, "solid", "rgba(0,89,43,0.10)")
     if site.space.has_zones:
         # Its outline, not its area: cut to the picture, the area would get edges that are none.
-        frame = shapely.box(*_extent(planned))
+        frame = shapely.box(*extent(planned))
         _outline(figure, site.space.fence_area.boundary.intersection(frame), "fence", "#9b0000", "dash", None)
     for structure in site.space.structures:
         label = f"{html_text(structure.name)}, {structure.height_m:g} m"
@@ -67,10 +62,8 @@ def map_figure(planned: Planned) -> go.Figure:
 
 def profile_figure(planned: Planned) -> go.Figure:
     """Height of the path over the ground and the ceiling, along the way."""
-    plan, site = planned.plan, planned.site
-    path = _thinned(np.vstack([path_samples_m(plan), way_home_m(plan)]))
-    along = np.concatenate([[0.0], np.cumsum(np.linalg.norm(np.diff(path, axis=0), axis=1))])
-    ground = site.terrain.height_m(path[:, 0], path[:, 1])
+    site = planned.site
+    along, ground, heights = profile(planned)
     figure = go.Figure()
     figure.add_scatter(
         x=float32(along), y=float32(ground), mode="lines",
@@ -83,7 +76,7 @@ def profile_figure(planned: Planned) -> go.Figure:
         line={"color": "#7a4d00", "width": 1.5, "dash": "dot"}, hoverinfo="skip",
     )  # fmt: skip
     figure.add_scatter(
-        x=float32(along), y=float32(path[:, 2]), mode="lines", name="path",
+        x=float32(along), y=float32(heights), mode="lines", name="path",
         line={"color": REFERENCE, "width": 2.5},
         hovertemplate="%{y:.0f} m<extra>path</extra>",
     )  # fmt: skip
@@ -101,29 +94,15 @@ def profile_figure(planned: Planned) -> go.Figure:
 
 def views_figure(planned: Planned) -> go.Figure:
     """How many photos see each place of the area, and outlines of some photos."""
-    plan, site = planned.plan, planned.site
-    photos = stations(plan)
-    west, south, east, north = site.area.bounds
-    step = max(east - west, north - south) / _VIEW_CELLS
-    x, y = np.arange(west + step / 2, east, step), np.arange(south + step / 2, north, step)
-    gx, gy = np.meshgrid(x, y)
-    inside = shapely.contains_xy(site.area, gx, gy)
-    places = np.stack([gx[inside], gy[inside]], axis=-1)
-    outlines = _outlines(plan, photos, planned)
-    count = np.zeros(len(places))
-    for outline in outlines:
-        polygon = shapely.polygons(outline)
-        shapely.prepare(polygon)
-        count += shapely.contains_xy(polygon, places)
-    grid = np.full(gx.shape, np.nan)
-    grid[inside] = count
+    site = planned.site
+    x, y, grid, outlines = views(planned)
     figure = go.Figure()
     figure.add_heatmap(
         x=float32(x), y=float32(y), z=float32(grid), colorscale="Viridis", zmin=0,
         colorbar=BELOW | {"title": {"text": "photos", "side": "right"}, "nticks": 6},
         hovertemplate="%{x:.0f}, %{y:.0f} m: %{z} photos<extra></extra>", name="photos",
     )  # fmt: skip
-    chosen = outlines[:: max(1, -(-len(outlines) // _MOST_FOOTPRINTS))]
+    chosen = outlines[:: max(1, -(-len(outlines) // MOST_FOOTPRINTS))]
     gap = np.full((1, 2), np.nan)
     rings = np.concatenate([np.concatenate([o, o[:1], gap]) for o in chosen]) if chosen else np.zeros((0, 2))
     figure.add_scatter(
@@ -133,13 +112,6 @@ def views_figure(planned: Planned) -> go.Figure:
     )  # fmt: skip
     _outline(figure, site.area, "area", INK, "solid", None)
     return _from_above(figure, planned, bar=True)
-
-
-def _outlines(plan: Plan, photos: tuple[Station, ...], planned: Planned) -> list[FloatArray]:
-    at = np.array([[s.east_m, s.north_m] for s in photos]).reshape(-1, 2)
-    ground = planned.site.terrain.height_m(at[:, 0], at[:, 1])
-    most = 3 * planned.site.height_m + 50
-    return [outline_m(plan.camera, s, float(g), most) for s, g in zip(photos, ground, strict=True)]
 
 
 def _photos(figure: go.Figure, photos: list[Station], pattern: str, total: int) -> None:
@@ -165,7 +137,7 @@ def _looks(figure: go.Figure, photos: tuple[Station, ...], planned: Planned) -> 
     tilted = [s for s in photos if s.pitch_deg > -80]
     if not tilted:
         return
-    west, south, east, north = _extent(planned)
+    west, south, east, north = extent(planned)
     length = 0.05 * max(east - west, north - south)
     yaw = np.radians([s.yaw_deg for s in tilted])
     x, y = np.array([s.east_m for s in tilted]), np.array([s.north_m for s in tilted])
@@ -194,17 +166,8 @@ def _outline(
     )  # fmt: skip
 
 
-def _extent(planned: Planned) -> tuple[float, float, float, float]:
-    """West, south, east, north of what matters, with a little room."""
-    path = planned.plan.path_m[:, :2]
-    corners = np.concatenate([path, shapely.get_coordinates(planned.site.area)])
-    (west, south), (east, north) = corners.min(axis=0).tolist(), corners.max(axis=0).tolist()
-    room = 0.06 * max(east - west, north - south, 1.0)
-    return west - room, south - room, east + room, north + room
-
-
 def _from_above(figure: go.Figure, planned: Planned, bar: bool = False) -> go.Figure:
-    west, south, east, north = _extent(planned)
+    west, south, east, north = extent(planned)
     ratio = float(np.clip((north - south) / max(east - west, 1e-9), 0.4, 1.6))
     below = 120 if bar else 60
     styled(
@@ -221,10 +184,6 @@ def _from_above(figure: go.Figure, planned: Planned, bar: bool = False) -> go.Fi
         title_text="north (m)", scaleanchor="x", constrain="domain", nticks=6, range=[south, north]
     )
     return figure
-
-
-def _thinned(path_m: FloatArray) -> FloatArray:
-    return path_m[:: max(1, -(-len(path_m) // _MOST_SAMPLES))]
 
 
 def _short(name: str) -> str:

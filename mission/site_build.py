@@ -43,22 +43,40 @@ def build_site(keys: SiteFile, source: str = "the site") -> Site:
     latitude, longitude = keys.launch or area.middle
     frame = LocalFrame(latitude, longitude)
     local = area.local(frame)
-    terrain = _terrain(keys.dem, frame, local, height)
+    terrain = terrain_of(keys.dem, frame, local, height)
+    name = keys.name or _name(keys, source)
+    return site_of(keys, name, frame, local, camera, camera_name, height, terrain)
+
+
+def site_of(
+    keys: SiteFile,
+    name: str,
+    frame: LocalFrame,
+    area: Polygon,
+    camera: BrownCamera,
+    camera_name: str,
+    height_m: float,
+    terrain: Terrain,
+) -> Site:
+    """What is given, with fence, structures, vehicle, wind and limits of ``keys``.
+
+    Raises:
+        InputError: one of them is unusable, in one sentence.
+    """
     fence = _fence(keys)
     structures = tuple(_structure(s.outline, s.height_m, s.name, frame, terrain) for s in keys.structure)
     standoff = 10.0 if keys.standoff_m is None else keys.standoff_m
     margin = 5.0 if keys.fence_margin_m is None else keys.fence_margin_m
-    vehicle = _vehicle(keys)
     return Site(
-        name=keys.name or _name(keys, source),
+        name=name,
         frame=frame,
-        area=local,
+        area=area,
         camera=camera,
         camera_name=camera_name,
-        height_m=height,
+        height_m=height_m,
         terrain=terrain,
         space=make_space(fence, structures, frame, margin, standoff),
-        vehicle=vehicle,
+        vehicle=_vehicle(keys),
         wind=Wind() if keys.wind is None else Wind(keys.wind.speed_m_s, keys.wind.from_deg),
         fence=fence,
         forward_overlap=keys.forward_overlap or FORWARD_OVERLAP,
@@ -110,7 +128,8 @@ def _height_m(keys: SiteFile, camera: BrownCamera) -> float:
     return height
 
 
-def _terrain(dem: str | None, frame: LocalFrame, area: Polygon, height_m: float) -> Terrain:
+def terrain_of(dem: str | None, frame: LocalFrame, area: Polygon, height_m: float) -> Terrain:
+    """The terrain model ``dem`` around ``area``; flat ground where there is none."""
     if dem is None:
         return FlatTerrain()
     west, south, east, north = area.bounds

@@ -47,6 +47,8 @@ __all__ = [
 _SITE_M = 120.0
 #: Texture finer than this is nowhere needed; larger rasters than this take gigabytes.
 _LEAST_TEXEL_M, _LARGEST_SIDE = 0.02, 12_000
+#: Another flight over the ground of one seed has errors of its own.
+_ANOTHER_FLIGHT = 500_000
 #: A camera on its landing gear, above the ground.
 _GEAR_M = 0.3
 
@@ -69,10 +71,12 @@ def write_survey(
     options: SurveyOptions | None = None,
     progress: Callable[[int, int], None] | None = None,
     workers: int = 2,
+    instead: Flight | None = None,
 ) -> SurveyTruth:
     """Render a survey by name (:mod:`sim.recipes`) into ``out_dir`` and write its truth, last of all.
 
-    ``progress`` is called with photos done and photos in all, from this thread.
+    ``progress`` is called with photos done and photos in all, from this thread. ``instead``: other photos
+    than the recipe's, over the same ground if ``options.texel_m`` is given and the same.
 
     Raises:
         InputError: no such recipe, or options that it cannot take; one sentence.
@@ -89,8 +93,8 @@ def write_survey(
     if options.pattern_px > 0:
         pattern = random_pattern(seed, camera, options.pattern_px * camera.width / 4000)
     flight = jittered(
-        plan.flight(scale, options.photos),
-        seed,
+        plan.flight(scale, options.photos) if instead is None else instead,
+        seed if instead is None else seed + _ANOTHER_FLIGHT,
         options.position_jitter_m,
         options.height_jitter_m,
         options.attitude_jitter_deg,
@@ -114,7 +118,7 @@ def write_survey(
         identity,
         (plan.camera.focal_mm, plan.camera.focal_35mm),
         dji,
-        seed,
+        seed if instead is None else seed + _ANOTHER_FLIGHT,
         options,
     )
     names = _names(flight, options.apart, "DJI_" if dji else "IMG_")

@@ -215,3 +215,14 @@ def test_precise_positions_weigh_only_while_they_agree_with_the_images() -> None
     assert min(known for known, _, _ in late) >= 5.0
     assert max(abs(z) for _, z, _ in right + late) < 3
     assert max(s for _, _, s in right) < min(s for _, _, s in late) < 3 * min(s for _, _, s in right)
+
+
+def test_k2_is_honest_on_a_lens_without_k3() -> None:
+    """K3 stays in the model even where it is not there: K2's sigma must not rest on its absence."""
+    for seed in range(3):
+        block = survey("demo", seed, SimOptions(n_points=200), camera=replace(phantom3(), k3=0.0))
+        found = calibrate_block(block, NOMINAL_F_PX, seed)
+        assert found.adjusted.free[INDEX["k3"]]
+        errors, sigma = brown_errors(block, found)
+        assert np.abs(errors / sigma).max() < 3.5
+        assert 1e-3 < sigma[CHECKED.index("k2")] < 4e-3

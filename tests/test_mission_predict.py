@@ -261,6 +261,23 @@ def test_allowed_stations_are_kept_to() -> None:
     assert all(north(s) for s in found.added)
 
 
+def test_large_areas_get_photos_at_several_places(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("mission.optimise.MOST_ADDED", 12)
+    monkeypatch.setattr("mission.fixing.MOST_ADDED", 12)
+    plan = nadir_plan((600.0, 120.0), 60.0)
+    assumed = replace(Assumptions(), points_per_photo=20)
+    found = fix(plan, assumptions=assumed, criterion=Criterion(dome_percent=0.004))
+    assert 8 <= len(found.added) <= 12
+    east = sorted(s.east_m for s in found.added)
+    assert east[-1] - east[0] > 4 * 60
+    assert found.after.dome_percent < found.before.dome_percent / 3
+    # It says what binds, by how much, and what it would take.
+    assert found.binding_limit is not None
+    for words in ("bending to", "0.0040 % is asked", "photos and", "the battery has", "size of the area"):
+        assert words in found.binding_limit, found.binding_limit
+    assert "focal length to" not in found.binding_limit
+
+
 def test_as_many_photos_as_asked_for() -> None:
     found = fix(nadir_plan(SITE, 60.0), criterion=Criterion(least_photos=12))
     assert len(found.added) >= 12

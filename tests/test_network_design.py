@@ -223,29 +223,71 @@ def _table(extra: Flight | None, gps_m: float = 2.5, two_heights: bool = False) 
         np.full(len(LENS_NAMES), np.inf),
         lens_mask("f cx cy k1 k2 k3 p1 p2"),
     )
-    return lens_information(network, nothing, dome_functional(points)[None])
+    return lens_information(network, nothing, np.stack([dome_functional(points), _middle_over_sides(points)]))
+
+
+def _middle_over_sides(points_m: FloatArray) -> FloatArray:
+    """Mean height within 30 m of the middle less that at the middles of the site's four sides, (m, 3)."""
+    x, y = np.abs(points_m[:, :2].T)
+    middle, sides = np.hypot(x, y) < 30, ((x > 55) & (y < 5)) | ((y > 55) & (x < 5))
+    g = np.zeros((len(points_m), 3))
+    g[:, 2] = middle / middle.sum() - sides / sides.sum()
+    return g
+
+
+def _domes_percent(information: LensInformation) -> tuple[float, float]:
+    """Sigmas in percent of 60 m: fieldcal's dome, and the middle of the site over its sides."""
+    second_order, over_sides = 100 * information.functional_sigma / 60
+    return float(second_order), float(over_sides)
+
+
+def _printed(value: float, percent: float, digit: float, factor: float) -> bool:
+    """Whether a value lies within ``factor`` of what was printed, rounding included."""
+    return (percent - digit / 2) / factor < value < (percent + digit / 2) * factor
 
 
 def _sigma_percent(information: LensInformation) -> float:
     return 100 * float(np.sqrt(information.covariance[0, 0])) / phantom3().f_px
 
 
+# The table's sigma f follows to its last digit. What it calls the dome "at the edge" it does not say; of
+# all differences of heights over the site, with lens parameters held or not, the middle over the middles
+# of the sides is nearest: every row within 1.75 of the printed digit. fieldcal's own dome, the second-order
+# surface of [C&D], agrees within 1.3 where anything but one height of nadir photos holds the lens, but for
+# the two rows printed as 0.002 that have no opposite convergent photos; for one nadir height it is 3.7 times
+# smaller, because what is left open there (0.27 %) is mostly not of second order.
 @pytest.mark.parametrize(
-    ("extra", "percent"),
-    [((1, 40.0), 0.013), ((2, 40.0), 0.009), ((4, 40.0), 0.006), ((8, 20.0), 0.014), ((8, 35.0), 0.006)],
+    ("extra", "percent", "dome_percent", "factor"),
+    [
+        ((1, 40.0), 0.013, 0.002, 2.0),
+        ((2, 40.0), 0.009, 0.002, 1.3),
+        ((4, 40.0), 0.006, 0.002, 1.3),
+        ((8, 20.0), 0.014, 0.003, 1.3),
+        ((8, 35.0), 0.006, 0.002, 1.3),
+    ],
 )
-def test_table_of_convergent_photos(extra: tuple[int, float], percent: float) -> None:
+def test_table_of_convergent_photos(
+    extra: tuple[int, float], percent: float, dome_percent: float, factor: float
+) -> None:
     """The first oblique photo stands in the east, the others follow clockwise."""
     found = _table(convergent(*extra, 60.0, first_azimuth_deg=90.0))
     assert _sigma_percent(found) == pytest.approx(percent, rel=0.2)
-    # Printed as 0.002-0.003 % H; over the same site we find up to twice that.
-    assert 100 * found.functional_sigma[0] / 60 < 0.007
+    second_order, over_sides = _domes_percent(found)
+    assert _printed(over_sides, dome_percent, 0.001, 1.75)
+    assert _printed(second_order, dome_percent, 0.001, factor)
 
 
 def test_table_of_nadir_photos() -> None:
-    assert _sigma_percent(_table(None)) > 100  # not observable
-    assert _sigma_percent(_table(None, two_heights=True)) == pytest.approx(3.8, rel=0.05)
-    assert _sigma_percent(_table(None, gps_m=0.03, two_heights=True)) == pytest.approx(0.046, rel=0.1)
+    one, two = _table(None), _table(None, two_heights=True)
+    rtk = _table(None, gps_m=0.03, two_heights=True)
+    assert _sigma_percent(one) > 100  # not observable
+    assert _sigma_percent(two) == pytest.approx(3.8, rel=0.05)
+    assert _sigma_percent(rtk) == pytest.approx(0.046, rel=0.1)
+    for found, dome_percent, digit in ((one, 0.27, 0.01), (two, 0.006, 0.001), (rtk, 0.002, 0.001)):
+        assert _printed(_domes_percent(found)[1], dome_percent, digit, 1.75)
+    assert _domes_percent(one)[0] == pytest.approx(0.072, rel=0.1)  # Of second order only a quarter.
+    assert _printed(_domes_percent(two)[0], 0.006, 0.001, 1.3)
+    assert _domes_percent(rtk)[0] == pytest.approx(0.0071, rel=0.1)  # Printed as 0.002.
 
 
 # -- views ----------------------------------------------------------------------------------------

@@ -64,7 +64,10 @@ def _json(capsys: pytest.CaptureFixture[str], *arguments: str) -> dict[str, Any]
 
 
 def test_a_plan_in_every_format_and_as_json(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
-    outputs = [tmp_path / f"mission{suffix}" for suffix in SUFFIXES] + [tmp_path / "sheet.html"]
+    outputs = [tmp_path / f"mission{suffix}" for suffix in SUFFIXES] + [
+        tmp_path / "sheet.html",
+        tmp_path / "sheet.png",
+    ]
     out = [word for path in outputs for word in ("--out", str(path))]
     found = _json(capsys, "cd3", *BASE, *out)
     assert all(path.stat().st_size > 100 for path in outputs)
@@ -104,6 +107,21 @@ def test_a_broken_hard_limit_is_not_written_but_forced(
     assert "✗" in captured.out
     assert cli.run([*arguments, "--force"]) == 0
     assert mission.exists()
+
+
+def test_a_long_plan_is_split_when_asked(tmp_path: Path, capsys: pytest.CaptureFixture[str]) -> None:
+    out = ["--out", str(tmp_path / "m.plan")]
+    arguments = ["nadir+fan", *BASE, "--endurance", "6"]
+    assert cli.run(["plan", *arguments, *out]) == 2
+    assert "--split" in capsys.readouterr().err
+    found = _json(capsys, *arguments, "--split", *out)
+    assert not (tmp_path / "m.plan").exists()
+    assert len(found["parts"]) >= 2
+    assert sum(part["photos"] for part in found["parts"]) == found["photos"]
+    assert all(f["ok"] for f in found["findings"] if f["hard"])
+    for number, part in enumerate(found["parts"], 1):
+        back = read(tmp_path / f"m-{number}.plan")
+        assert len(back.stations) == len(part["stations"]) == part["photos"]
 
 
 @pytest.mark.parametrize(

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+import io
 from pathlib import Path
 
 import numpy as np
 import pytest
 from browser import CHROMIUM, Browser
 from mission_sites import FRAME, Hills, make_site
+from PIL import Image
 from shapely import box
 
 from mission.compose import compose_with_notes
@@ -16,6 +18,7 @@ from mission.limits import check_limits
 from mission.planned import Planned
 from mission.predict import predict
 from mission.sheet import render_sheet
+from mission.sheet_png import render_picture
 from mission.space import Structure
 
 
@@ -56,3 +59,24 @@ def test_the_sheet_is_the_same_for_the_same_plan() -> None:
     planned = _planned()
     assert render_sheet(planned) == render_sheet(planned)
     assert np.isfinite(planned.timing.duration_s)
+
+
+def test_the_picture_shows_path_photos_and_text() -> None:
+    planned = _planned()
+    data = render_picture(planned)
+    assert data == render_picture(planned)
+    with Image.open(io.BytesIO(data)) as opened:
+        picture = np.asarray(opened.convert("RGB")).astype(int)
+    assert picture.shape[1] > picture.shape[0] > 1000
+    assert 20e3 < len(data) < 2e6
+    rows, columns = picture.shape[:2]
+
+    def drawn(top: float, bottom: float, left: float, right: float, colour: tuple[int, int, int]) -> int:
+        part = picture[int(top * rows) : int(bottom * rows), int(left * columns) : int(right * columns)]
+        return int((np.abs(part - colour).sum(axis=2) < 40).sum())
+
+    blue, red = (0, 80, 143), (155, 0, 0)
+    assert drawn(0.15, 0.6, 0.05, 0.35, blue) > 300  # photos
+    assert drawn(0.15, 0.6, 0.05, 0.35, red) > 50  # fence
+    assert drawn(0.65, 0.95, 0.05, 0.65, blue) > 300  # heights
+    assert drawn(0.15, 0.95, 0.70, 1.0, (0, 0, 0)) + drawn(0.15, 0.95, 0.70, 1.0, (34, 34, 34)) > 500  # words

@@ -14,11 +14,17 @@ from hypothesis import strategies as st
 
 from benchmarks.verdict import read_scores, run
 from benchmarks.verdict_cases import FACTORS, PAPERS, Case, case
-from benchmarks.verdict_rates import Rate, cannot_tell, dome_rate, false_refly, false_trust, rms
+from benchmarks.verdict_rates import Rate, cannot_tell, dome_rate, false_refly, false_trust, rms, settled
 from benchmarks.verdict_report import write_report
 from benchmarks.verdict_score import Score, score
 from benchmarks.verdict_truth import true_dome_percent
-from benchmarks.verdict_world import reference_of, survey_of, true_camera, true_lens
+from benchmarks.verdict_world import (
+    reference_of,
+    reference_sigma_f_percent,
+    survey_of,
+    true_camera,
+    true_lens,
+)
 from calib.similarity import Similarity
 from sim.flights import small_rotation
 from sim.relief import Relief
@@ -95,6 +101,29 @@ def test_a_case_does_not_depend_on_the_length_of_the_campaign() -> None:
     assert len({(one.lens, one.pattern) for one in papers[: len(PAPERS)]}) == len(PAPERS)
     with pytest.raises(ValueError, match="numbered from 0"):
         case(-1)
+
+
+def test_what_an_ideal_adjustment_settles() -> None:
+    known = reference_sigma_f_percent("dji-phantom-3-professional", "true")
+    assert 0.002 < known < 0.03
+    assert reference_sigma_f_percent("dji-phantom-3-professional", "wrong body") > 0.4
+
+    def share(sigma: float, drift: float, reference: str = "true") -> float:
+        one = invented(0, ideal_sigma_percent=sigma, ref_df_percent=drift)
+        return settled(replace(one, case=replace(ORDINARY, reference=reference)))
+
+    assert share(0.005, 0.0) > 0.999
+    assert share(0.005, 0.3) > 0.999
+    assert share(0.005, -0.3) > 0.999
+    assert share(0.03, 0.0) < share(0.015, 0.0)
+    assert share(0.005, 0.1) < 0.05
+    assert share(0.05, 0.0) < 0.1
+    assert share(0.005, 0.0, "none") == 0.0
+    # Against draws: the share of decisions of a Gaussian estimate.
+    found = np.random.default_rng(0).normal(-0.03, 0.02, 20_000)
+    reach = 1.96 * np.hypot(0.02, known)
+    decided = (np.abs(found) + reach <= 0.1) | (np.abs(found) - reach > 0.1)
+    assert share(0.02, 0.03) == pytest.approx(decided.mean(), abs=0.01)
 
 
 def site(seed: int) -> np.ndarray:

@@ -664,6 +664,29 @@ class Adjustment:
                     return state, iterations, False, damping
         return state, iterations, False, damping
 
+    def functional_covariance(self, adjusted: Adjusted, gradients: FloatArray) -> FloatArray:
+        """Formal covariance (c, c) of linear functions of the points, scaled by sigma0.
+
+        All unknowns take part: lens, poses and points.
+
+        Args:
+            adjusted: outcome of a run of this adjustment.
+            gradients: (m, 3, c), d function / d point. Functions that a shift, turn or scale of the whole
+                block changes are only as good as the priors on its place.
+
+        Raises:
+            numpy.linalg.LinAlgError: the block is too weak to be inverted.
+        """
+        weights = (adjusted.weights, adjusted.position_weights)
+        lin = self._linearise(adjusted.state, adjusted.free, weights)
+        # Next to no damping: weakly held deformations of the block must stay weak.
+        factored = self._factored(lin, 1e-13)
+        columns = np.moveaxis(gradients, -1, 0)
+        solved = [factored.solve(np.zeros_like(lin.g_c), np.zeros_like(lin.g_l), g).point for g in columns]
+        covariance = np.einsum("amj,bmj->ab", columns, np.array(solved))
+        symmetric: FloatArray = (covariance + covariance.T) / 2 * adjusted.sigma0**2
+        return symmetric
+
     def _finish(
         self,
         state: State,

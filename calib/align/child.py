@@ -9,7 +9,7 @@ import signal
 import time
 import traceback
 from collections.abc import Callable
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from multiprocessing import resource_tracker
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
@@ -21,12 +21,14 @@ import numpy as np
 
 from calib.align.dome import predict_dome
 from calib.align.engine import Aligner, Progress, Settings
+from calib.align.flatness import Flatness, measure_flatness
 from calib.align.network import measure_network
 from calib.align.selfcal import Calibrated
 from calib.align.uncertainty import estimate
 from calib.camera import FloatArray
 from calib.errors import AlignmentError, FieldcalError
 from calib.field import Lens
+from calib.flown import FlownNetwork, flown_network
 from calib.photos.photo import Photo
 from calib.solution import Dome, Estimate, Network, Solution
 
@@ -39,6 +41,7 @@ class Job:
     """What the child is to do.
 
     ``reference``: the total mapping to hold the dome against, with its covariance (35, 35).
+    ``wall``: the photos show a flat wall, whose flatness is to be measured.
     """
 
     photos: tuple[Photo, ...]
@@ -47,6 +50,7 @@ class Job:
     time_limit_s: float = 3600.0
     memory_limit_bytes: int | None = None
     reference_covariance: FloatArray | None = None
+    wall: bool = False
 
 
 @dataclass(frozen=True)
@@ -57,6 +61,8 @@ class Outcome:
     estimate: Estimate
     network: Network
     dome: Dome
+    flown: FlownNetwork
+    flatness: Flatness | None = None
 
 
 def work(job: Job, progress: Progress) -> Outcome:
@@ -72,7 +78,12 @@ def work(job: Job, progress: Progress) -> Outcome:
     def tick() -> None:
         progress("comparing models", 0, 0)
 
-    return measured(aligned.solution, aligned.calibrated, job.reference, job.reference_covariance, tick)
+    outcome = measured(aligned.solution, aligned.calibrated, job.reference, job.reference_covariance, tick)
+    if not job.wall:
+        return outcome
+    progress("measuring the wall", 0, 0)
+    flatness = measure_flatness(aligned.calibrated, outcome.estimate, job.settings.seed)
+    return replace(outcome, flatness=flatness)
 
 
 def measured(
@@ -97,7 +108,8 @@ def measured(
     )
     height = float(np.median(network.height_agl_m))
     dome = predict_dome(calibrated, honest.lens_covariance, reference, height, tick, reference_covariance)
-    return Outcome(solution, honest, network, dome)
+    flown = flown_network(calibrated, honest.correlation_factor)
+    return Outcome(solution, honest, network, dome, flown)
 
 
 def _child(job: Job, pipe: Connection) -> None:

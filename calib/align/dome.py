@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable
 
 import numpy as np
-from scipy.interpolate import LinearNDInterpolator
 
 from calib.align.adjust import State, similarity_tangent
 from calib.align.selfcal import Calibrated
@@ -111,5 +110,7 @@ def _grid(
     east, north = np.meshgrid(centre[0] + axis, centre[1] + axis)
     if len(nodes) < 4:
         return axis + centre[0], axis + centre[1], np.full(east.shape, np.nan)
+    from scipy.interpolate import LinearNDInterpolator  # Slow to load, and only maps need it.
+
     grid: FloatArray = LinearNDInterpolator(nodes, values)(east, north)
     return axis + centre[0], axis + centre[1], grid

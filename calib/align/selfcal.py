@@ -2,7 +2,7 @@
 
 1. f, principal point, K1, K2; blunders out.
 2. K3, decentring and affinity; blunders out by the noise found.
-3. K3 and decentring stay where they are significant ([SEN] staged release).
+3. Decentring stays where it is significant ([SEN] staged release); K3 always does.
 4. The residual field joins, with a weak prior (docs/method.md says why). Where the residuals are
    correlated within photos, the images weigh less against the priors from here on.
 5. Precise positions (RTK) keep their weight only where the lens is the same without it.
@@ -20,6 +20,7 @@ from scipy.special import chdtrc
 from calib.align.adjust import Adjusted, Adjustment, Priors, State, ray_angle_deg
 from calib.align.chance import Lengths, beyond_chance
 from calib.align.correlation import correlation_factor
+from calib.align.georeference import DEFAULT_SIGMA_M
 from calib.align.tracks import select
 from calib.camera import BROWN_NAMES, FloatArray
 from calib.errors import AlignmentError
@@ -40,8 +41,6 @@ LEAST_ANGLE_DEG = 2.0
 #: 30 ms at 60 m), and the significance at which a rolling shutter is believed.
 SHUTTER_WAY = 0.004
 SHUTTER_P = 1e-3
-#: What a plain receiver gets; positions that claim more are held against the block without that claim.
-PLAIN_GPS_SIGMA_M = 5.0
 #: Rounds in which measured positions that contradict the block lose weight.
 POSITION_ROUNDS = 5
 BASIC = ("f", "cx", "cy", "k1", "k2")
@@ -217,9 +216,9 @@ def _with_believable_positions(
     """
     priors = adjustment.priors
     known = np.isfinite(priors.centre_sigma_m).all(axis=1)
-    if not known.any() or float(np.median(priors.centre_sigma_m[known])) >= PLAIN_GPS_SIGMA_M:
+    if not known.any() or float(np.median(priors.centre_sigma_m[known])) >= DEFAULT_SIGMA_M:
         return adjustment, result
-    loose = np.maximum(priors.centre_sigma_m, PLAIN_GPS_SIGMA_M)
+    loose = np.maximum(priors.centre_sigma_m, DEFAULT_SIGMA_M)
     plain = adjustment.with_priors(replace(priors, centre_sigma_m=loose))
     weights = (result.weights, result.position_weights)
     trial = plain.run(result.state, result.free, 40, decrement=0.05, weights=weights, damping=1e-8, tick=tick)
@@ -267,13 +266,14 @@ def _kept(
 
 
 def _significant(result: Adjusted) -> set[str]:
-    """Names of the parameters to keep: K3 and decentring only where they differ from zero."""
+    """Names of the parameters to keep: decentring only where it differs from zero.
+
+    K3 stays: without it K2 comes out with a sigma that holds for K3 = 0 only.
+    """
     vector = result.state.lens.vector
     covariance = result.covariance
     index = {name: i for i, name in enumerate(LENS_NAMES)}
-    kept = set(BASIC) | {"b1", "b2"}
-    if abs(vector[index["k3"]]) > SIGNIFICANT * np.sqrt(covariance[index["k3"], index["k3"]]):
-        kept.add("k3")
+    kept = set(BASIC) | {"k3", "b1", "b2"}
     pair = [index["p1"], index["p2"]]
     size = vector[pair] @ np.linalg.solve(covariance[np.ix_(pair, pair)], vector[pair])
     if size > SIGNIFICANT**2 + 2.5:  # chi-square of two degrees of freedom at 99 %: 9.2

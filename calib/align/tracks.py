@@ -3,14 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from typing import TYPE_CHECKING
 
 import numpy as np
 from scipy.sparse import coo_matrix
 from scipy.sparse.csgraph import connected_components
 
-from calib.align.features import Features
-from calib.align.matching import PairMatches
 from calib.solution import IntArray, Observations
+
+if TYPE_CHECKING:  # Image libraries, which a planned network can do without.
+    from calib.align.features import Features
+    from calib.align.matching import PairMatches
 
 
 def build_tracks(features: Sequence[Features], pairs: Sequence[PairMatches], sigma_px: float) -> Observations:

@@ -8,6 +8,7 @@ Messages of no use here are named in :data:`IGNORED`, so that an unknown one can
 from __future__ import annotations
 
 import math
+import struct
 from collections.abc import Callable
 from dataclasses import dataclass
 
@@ -20,6 +21,8 @@ from daemon.link.modes import heartbeat
 UTC_FROM_US = 10**15
 #: Components that are an autopilot, a camera (100-105, or attached to the autopilot).
 _AUTOPILOT_COMPONENT = 1
+#: MAV_PARAM_TYPE: whole numbers of up to 32 bits.
+_WHOLE_PARAMETERS = frozenset(range(1, 7))
 _HEARTBEAT_TYPES_NOT_FLYING = frozenset({5, 6, 18, 26, 27, 30})  # tracker, ground station, companion...
 
 
@@ -253,6 +256,24 @@ def _radio(m: Message, _: Context) -> ev.Event:
     return ev.Radio(m.integer("rssi"), m.integer("remrssi"), m.integer("rxerrors"))
 
 
+def _parameter(m: Message, context: Context) -> ev.Event | None:
+    """PX4 sends whole numbers as the bits of a float, ArduPilot as their value."""
+    name, value = m.text("param_id"), m.number("param_value")
+    if not name:
+        return None
+    whole = m.integer("param_type") in _WHOLE_PARAMETERS
+    if context.autopilot is ev.Autopilot.PX4 and whole:
+        if value is None:  # bits that make no number: a negative whole one
+            return None
+        return ev.Parameter(name, float(struct.unpack("<i", struct.pack("<f", value))[0]))
+    return None if value is None else ev.Parameter(name, value)
+
+
+def _firmware(m: Message, _: Context) -> ev.Event | None:
+    version = m.integer("flight_sw_version")
+    return ev.Firmware(".".join(str(version >> shift & 0xFF) for shift in (24, 16, 8))) if version else None
+
+
 TABLE: dict[str, Callable[[Message, Context], ev.Event | None]] = {
     "HEARTBEAT": _heartbeat,
     "GLOBAL_POSITION_INT": _position,
@@ -277,17 +298,19 @@ TABLE: dict[str, Callable[[Message, Context], ev.Event | None]] = {
     "SYSTEM_TIME": _system_time,
     "EXTENDED_SYS_STATE": _landed,
     "RADIO_STATUS": _radio,
+    "PARAM_VALUE": _parameter,
+    "AUTOPILOT_VERSION": _firmware,
 }
 
 #: Seen on links and of no use here: transfers that the client library handles, and raw sensors.
 IGNORED = frozenset(
     """
-    AHRS AHRS2 ALTITUDE ATTITUDE_QUATERNION ATTITUDE_TARGET AUTOPILOT_VERSION CURRENT_EVENT_SEQUENCE
+    AHRS AHRS2 ALTITUDE ATTITUDE_QUATERNION ATTITUDE_TARGET CURRENT_EVENT_SEQUENCE
     CAMERA_CAPTURE_STATUS CAMERA_INFORMATION CAMERA_SETTINGS COMMAND_INT COMMAND_LONG EVENT FENCE_STATUS
     FILE_TRANSFER_PROTOCOL GIMBAL_MANAGER_INFORMATION GIMBAL_MANAGER_STATUS GPS2_RAW GPS_GLOBAL_ORIGIN
     HIGHRES_IMU HWSTATUS LINK_NODE_STATUS LOCAL_POSITION_NED MCU_STATUS MEMINFO MISSION_ACK MISSION_COUNT
     MISSION_ITEM MISSION_ITEM_INT MISSION_REQUEST MISSION_REQUEST_INT MISSION_REQUEST_LIST
-    NAV_CONTROLLER_OUTPUT ODOMETRY OPEN_DRONE_ID_LOCATION PARAM_VALUE PING POSITION_TARGET_GLOBAL_INT
+    NAV_CONTROLLER_OUTPUT ODOMETRY OPEN_DRONE_ID_LOCATION PING POSITION_TARGET_GLOBAL_INT
     POSITION_TARGET_LOCAL_NED POWER_STATUS PROTOCOL_VERSION RAW_IMU RC_CHANNELS SCALED_IMU2 SCALED_IMU3
     SCALED_IMU SCALED_PRESSURE SCALED_PRESSURE2 SENSOR_OFFSETS SERVO_OUTPUT_RAW SIMSTATE STORAGE_INFORMATION
     TERRAIN_REPORT TERRAIN_REQUEST UTM_GLOBAL_POSITION VFR_HUD VIBRATION WIND WIND_COV

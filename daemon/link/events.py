@@ -231,6 +231,29 @@ class Radio:
     receive_errors: int
 
 
+@dataclass(frozen=True)
+class Parameter:
+    """One of the autopilot's settings, asked for by name."""
+
+    name: str
+    value: float
+
+
+@dataclass(frozen=True)
+class Firmware:
+    version: str
+
+
+@dataclass(frozen=True)
+class VehicleRestarted:
+    """The vehicle's boot time began anew: photo numbers and boot times from here on are others.
+
+    ``boots`` counts from 1. Made by :mod:`daemon.link.state`, not by a message.
+    """
+
+    boots: int
+
+
 Event = (
     Heartbeat
     | Position
@@ -250,4 +273,7 @@ Event = (
     | SystemTime
     | LandedState
     | Radio
+    | Parameter
+    | Firmware
+    | VehicleRestarted
 )

@@ -7,7 +7,6 @@ from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
-from scipy import ndimage
 
 from calib.camera import FloatArray
 from calib.errors import InputError
@@ -63,6 +62,8 @@ def relief(
     v = np.arange(south - margin_m, north + margin_m + step, step)
     points = to_map(np.stack(np.meshgrid(u, v, indexing="ij"), axis=-1).reshape(-1, 2))
     ground = terrain.height_m(points[:, 0], points[:, 1]).reshape(len(u), len(v))
+    from scipy import ndimage  # Slow to load, and flat ground does without.
+
     size = 2 * math.ceil(reach_m / step) + 1
     highest = ndimage.maximum_filter(ground, size=size, mode="nearest")
     share = ((ground + height_m - tolerance_m(height_m) - highest) / height_m).min(axis=1)

@@ -19,8 +19,8 @@ _TRANSFER = ("MISSION_", "COMMAND_ACK", "PARAM_", "AUTOPILOT_VERSION")
 @dataclass(frozen=True)
 class Faults:
     """``drop_share``, ``repeat_share``: of the vehicle's messages. ``delay_s`` +- ``jitter_s`` (link
-    time; jitter larger than the spacing of messages reorders them). ``reject_item``: this item of an
-    upload is refused. ``cut_at_item``: the link dies when this item of an upload arrives, for
+    time; jitter larger than the spacing of messages reorders them). ``reject_item``: this item of the
+    first upload is refused. ``cut_at_item``: the link dies when this item of an upload arrives, for
     ``cut_s``. ``miss_photo_share``: triggers whose photo is never taken."""
 
     drop_share: float = 0.0

@@ -17,7 +17,8 @@ class VehicleOptions:
     ``feedback_pin``: ArduPilot tells photos in boot time and counts captures. ``camera_component``:
     a separate camera confirms every photo with CAMERA_IMAGE_CAPTURED (ArduPilot; from
     component 100, on its own clock, ``camera_lag_s`` late). ``camera_interval_s``: commands sooner
-    after a photo are accepted and lost, photos by distance wait.
+    after a photo are accepted and lost, photos by distance wait. ``parameters``: other values than
+    :mod:`sim.vehicle.parameters` has.
     """
 
     flavour: Flavour = "ardupilot"
@@ -37,3 +38,4 @@ class VehicleOptions:
     camera_lag_s: float = 0.3
     feedback_pin: bool = False
     system_id: int = 1
+    parameters: tuple[tuple[str, float], ...] = ()

@@ -45,6 +45,7 @@ class VehicleServer:
         self._senders = {c: mavlink.MAVLink(None, options.system_id, c) for c in (1, 100)}
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
+        self._before_s = 0.0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self.run, name="vehicle", daemon=True)
 
@@ -64,16 +65,18 @@ class VehicleServer:
         with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
             link.settimeout(LOOK_S)
             link.bind(("", 0))
-            before = self._clock()
+            self._before_s = self._clock()
             while not self._stop.is_set():
-                out = self._hear(link)
-                now = self._clock()
-                passed, before = min(now - before, LONGEST_STEP_S), now
-                out += self.vehicle.step(passed * self.speed_up, passed)
+                out = self._hear(link) + self._let_time_pass()
                 for message in self._link.send(out, self.vehicle.link_s):
                     sender = self._senders[getattr(message, "from_component", 1)]
                     self._send(link, message.pack(sender))
                     sender.seq = (sender.seq + 1) % 256
+
+    def _let_time_pass(self) -> list[MavMessage]:
+        now = self._clock()
+        passed, self._before_s = min(now - self._before_s, LONGEST_STEP_S), now
+        return self.vehicle.step(passed * self.speed_up, passed)
 
     def _send(self, link: socket.socket, data: bytes) -> None:
         try:
@@ -86,6 +89,7 @@ class VehicleServer:
         out: list[MavMessage] = []
         try:
             data = link.recv(4096)
+            out += self._let_time_pass()  # What it answers is said at the time of the question.
             link.setblocking(False)
             while data:
                 for message in self._parser.parse_buffer(data) or []:

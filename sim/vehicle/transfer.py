@@ -1,7 +1,8 @@
 """The vehicle's side of MAVLink's mission protocol, as each autopilot does it.
 
-ArduPilot: asks with MISSION_REQUEST; a refused upload leaves the good items, followed by the tail
-of the old mission; an item out of order is answered with INVALID_SEQUENCE and the upload goes on;
+ArduPilot: asks with MISSION_REQUEST; stores each item as it comes, so that a refused or stalled
+upload leaves the good items, followed by the tail of the old mission; an item out of order is
+answered with INVALID_SEQUENCE and the upload goes on;
 requests repeat each second, after 8 s it gives up with OPERATION_CANCELLED; a second uploader is
 DENIED. PX4: asks with MISSION_REQUEST_INT, keeps the old mission unless all went well, and gives
 up without a word.
@@ -34,7 +35,7 @@ class _Upload:
 @dataclass
 class MissionTransfer:
     """``stored``: by mission type (0 mission, 1 fence, 2 rally). ``may_clear`` and ``changed`` ask and
-    tell the pilot. Times are link time in seconds."""
+    tell the pilot. ``reject_item``: this item of the next upload is refused. Times are link time in s."""
 
     flavour: Flavour
     home: Callable[[], Item]
@@ -75,7 +76,6 @@ class MissionTransfer:
             self._upload = None
             if self.flavour == "px4":
                 return []
-            self._keep_part(upload)
             return [_ack(upload.peer, mavlink.MAV_MISSION_OPERATION_CANCELLED, upload.kind)]
         return self._ask(now_s) if now_s - upload.asked_s > REPEAT_S else []
 
@@ -111,14 +111,14 @@ class MissionTransfer:
         item = item_of(message)
         result = refusal(self.flavour, item) if upload.kind == 0 else 0
         if self.reject_item == message.seq and upload.kind == 0:
-            result = int(mavlink.MAV_MISSION_INVALID_PARAM1)
+            result, self.reject_item = int(mavlink.MAV_MISSION_INVALID_PARAM1), None
         if result:
             self._upload = None
-            if self.flavour == "ardupilot":
-                self._keep_part(upload)
             return [_ack(peer, result, upload.kind)]
         upload.items.append(item)
         if len(upload.items) < upload.count:
+            if self.flavour == "ardupilot" and upload.kind == 0:
+                self._keep_part(upload)
             return self._ask(now_s)
         self._upload = None
         self._store(upload.kind, self._kept(upload))

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import random
 
+from sim.vehicle import parameters
 from sim.vehicle.camera import Camera, PhotoTaken
 from sim.vehicle.commands import Commands
 from sim.vehicle.dialect import MavMessage, mavlink
@@ -75,7 +76,10 @@ class Vehicle:
                 for one in STREAM_GROUPS.get(group, ()):
                     self.telemetry.want(one, float(message.req_message_rate * message.start_stop))
         elif name == "TIMESYNC" and message.tc1 == 0:
-            self._out.append(mavlink.MAVLink_timesync_message(round(self.boot_s * 1e9), message.ts1))
+            now_s = self.boot_s + self._behind_s
+            self._out.append(mavlink.MAVLink_timesync_message(round(now_s * 1e9), message.ts1))
+        elif name == "PARAM_REQUEST_READ":
+            self._out += parameters.answer(self.options, message)
         elif name == "MISSION_SET_CURRENT":
             self.pilot.jump(message.seq, False)
         else:

@@ -1,0 +1,370 @@
+"""Calibration on control points ([SEN]): parameters released in steps, blunders found and named."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from scipy.special import chdtrc
+
+from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
+from calib.control_adjust import BoolArray, Fit, MarkSet, adjust, intersected, resected, residuals_px
+from calib.control_files import ControlPoint, Mark
+from calib.errors import AlignmentError, InputError
+from calib.photos.photo import Photo
+
+#: Release of the parameters ([SEN] 2.3); a step stays where chance explains its gain with less than P.
+STEPS: tuple[tuple[str, tuple[str, ...]], ...] = (
+    ("poses", ()),
+    ("f and K1-K3", ("f", "k1", "k2", "k3")),
+    ("principal point", ("cx", "cy")),
+    ("decentring P1 P2", ("p1", "p2")),
+    ("affinity b1 b2", ("b1", "b2")),
+)
+SIGNIFICANT_P = 0.01
+#: [SEN] discussion: natural features are marked to half a pixel.
+MARK_SIGMA_PX = 0.5
+POINT_SIGMA_M = 0.005
+LEAST_POINTS, LEAST_PHOTOS, LEAST_MARKS = 6, 3, 5
+#: Probability that any of the good marks of a set is called a blunder (standardised residuals, Baarda 1968).
+BLUNDER_P = 0.01
+#: Fewer of the marks than this agreeing with the first poses: something is wrong with all of them.
+AGREE_SHARE = 0.6
+#: A point is at fault, not its marks, where more than this share of them is off.
+POINT_SHARE = 0.6
+
+
+@dataclass(frozen=True)
+class Step:
+    """One release: ``chance`` that the gain in fit is chance's (None for the poses), ``kept`` or not."""
+
+    name: str
+    parameters: tuple[str, ...]
+    sigma0: float
+    control_rms_px: float
+    check_rms_px: float
+    chance: float | None
+    kept: bool
+
+
+@dataclass(frozen=True)
+class ControlCalibration:
+    """The outcome of ``fieldcal calibrate control``.
+
+    ``used`` (n,): marks that took part or, on check points, were not found to be blunders.
+    ``errors_m`` (t, 3): points from their marks minus as surveyed, NaN where fewer than two marks.
+    ``blunders``: one sentence each.
+    """
+
+    photos: tuple[Photo, ...]
+    points: tuple[ControlPoint, ...]
+    marks: MarkSet
+    fit: Fit
+    steps: tuple[Step, ...]
+    used: BoolArray
+    errors_m: FloatArray
+    blunders: tuple[str, ...]
+    notes: tuple[str, ...]
+
+    @property
+    def camera(self) -> BrownCamera:
+        return self.fit.block.camera
+
+    def rms_px(self, check: bool) -> float:
+        """Rms per coordinate of the marks on control or on check points, as surveyed."""
+        return _rms(self.fit, self.marks, self.used, check)
+
+    def rmse_m(self, check: bool) -> FloatArray:
+        """Root mean square errors (3,) of the points from their marks, x y z; NaN where there are none."""
+        mine = self.errors_m[self.marks.control != check]
+        mine = mine[np.isfinite(mine).all(axis=1)]
+        return np.asarray(np.sqrt(np.mean(mine**2, axis=0)) if len(mine) else np.full(3, np.nan))
+
+
+def prepare(
+    photos: Sequence[Photo],
+    points: Sequence[ControlPoint],
+    marks: Sequence[Mark],
+    mark_sigma_px: float = MARK_SIGMA_PX,
+    point_sigma_m: float = POINT_SIGMA_M,
+    check_every: int = 0,
+) -> tuple[MarkSet, tuple[Photo, ...], tuple[ControlPoint, ...], tuple[str, ...]]:
+    """Marks of known points in given photos, photos and points that they use, and remarks.
+
+    Coordinates are taken from the points' mean. ``check_every``: every so many points in the order of
+    their names is a check point, where no point is one by itself (0: none).
+
+    Raises:
+        InputError: nothing fits together, or there is too little of it; one sentence.
+    """
+    by_name = {photo.path.name.lower(): photo for photo in photos}
+    known = {point.name: point for point in points}
+    here = [mark for mark in marks if mark.photo.lower() in by_name]
+    if not here:
+        raise InputError(
+            f"None of the {len({m.photo for m in marks})} photos in the marks is among those given (the "
+            f"first is {marks[0].photo}): is it the file of another photo set?"
+        )
+    usable = [mark for mark in here if mark.point in known]
+    if not usable:
+        raise InputError(
+            f"None of the marked points has coordinates (the first is {here[0].point}); check the names."
+        )
+    notes = []
+    if len(here) < len(marks):
+        notes.append(f"{len(marks) - len(here)} marks are in photos that were not given.")
+    unknown = sorted({mark.point for mark in here} - set(known))
+    if unknown:
+        notes.append(
+            f"No coordinates are known of {', '.join(unknown[:5])}{' ...' if len(unknown) > 5 else ''}."
+        )
+    names = sorted({mark.point for mark in usable})
+    chosen = [known[name] for name in names]
+    if check_every and not any(point.check for point in chosen):
+        chosen = [replace(p, check=i % check_every == check_every - 1) for i, p in enumerate(chosen)]
+    roles = {point.name: point.check for point in chosen}
+    files = sorted({mark.photo.lower() for mark in usable})
+    counts = {f: sum(m.photo.lower() == f and not roles[m.point] for m in usable) for f in files}
+    thin = [by_name[f].path.name for f in files if counts[f] < LEAST_MARKS]
+    if thin:
+        notes.append(f"Fewer than {LEAST_MARKS} control points are marked in {', '.join(thin)}: left out.")
+    files = [f for f in files if counts[f] >= LEAST_MARKS]
+    if len(files) < LEAST_PHOTOS:
+        raise InputError(
+            f"{len(files)} photos have {LEAST_MARKS} marks on control points or more; {LEAST_PHOTOS} are "
+            "needed."
+        )
+    usable = [m for m in usable if m.photo.lower() in set(files)]
+    cameras = {(by_name[f].camera.name, by_name[f].camera.width, by_name[f].camera.height) for f in files}
+    if len(cameras) > 1:
+        raise InputError("The marked photos are of different cameras or sizes; give those of one camera.")
+    xyz = np.array([point.xyz_m for point in chosen])
+    control = np.array([not point.check for point in chosen])
+    _require_shape(xyz[control])
+    camera = by_name[files[0]].camera
+    outside = [m for m in usable if not (0 <= m.u_px <= camera.width and 0 <= m.v_px <= camera.height)]
+    if outside:
+        raise InputError(
+            f"Point {outside[0].point} is marked outside of {outside[0].photo} ({camera.width} x "
+            f"{camera.height} px): are the marks from photos of another size?"
+        )
+    sigmas = [p.sigmas_m if p.sigmas_m is not None else (point_sigma_m,) * 3 for p in chosen]
+    position = {point.name: i for i, point in enumerate(chosen)}
+    return (
+        MarkSet(
+            photo=np.array([files.index(m.photo.lower()) for m in usable]),
+            point=np.array([position[m.point] for m in usable]),
+            pixels=np.array([[m.u_px, m.v_px] for m in usable]),
+            sigma_px=mark_sigma_px,
+            points_m=xyz - xyz.mean(axis=0),
+            sigmas_m=np.array(sigmas, float),
+            control=control,
+        ),
+        tuple(by_name[f] for f in files),
+        tuple(chosen),
+        tuple(notes),
+    )
+
+
+def _require_shape(xyz_m: FloatArray) -> None:
+    if len(xyz_m) < LEAST_POINTS:
+        raise InputError(f"{len(xyz_m)} control points are marked; at least {LEAST_POINTS} are needed.")
+    size = np.linalg.svd(xyz_m - xyz_m.mean(axis=0), compute_uv=False)
+    if size[1] < 0.02 * size[0]:
+        raise InputError("All control points lie on one line; spread them over the object.")
+
+
+def calibrate_control(
+    marks: MarkSet,
+    photos: tuple[Photo, ...],
+    points: tuple[ControlPoint, ...],
+    focal_px: float,
+    notes: tuple[str, ...] = (),
+) -> ControlCalibration:
+    """Resection, release in steps, blunders out and named.
+
+    Raises:
+        AlignmentError: a photo cannot be placed, or there are too few marks.
+    """
+    size = photos[0].camera
+    start = BrownCamera.ideal(size.width, size.height, focal_px)
+    try:
+        block, used = resected(marks, start)
+    except AlignmentError as error:
+        name = photos[int(str(error))].path.name
+        raise AlignmentError(
+            f"{name} cannot be placed by its marks: four or more of them must agree. Check their names, the "
+            "order of the coordinates (x east, y north, z up) and the focal length (--focal-px)."
+        ) from error
+    on_control = marks.control[marks.point]
+    _require_agreement(marks, start, used, on_control)
+    # Blunders are sought under the radial model: before, the corners miss for want of it.
+    radial = STEPS[1][1]
+    fit = adjust(marks, block, radial, used)
+    fit, used = _without_blunders(marks, fit, used, on_control, radial)
+    steps, free = [], ()
+    fit = adjust(marks, replace(fit.block, camera=start), (), used)
+    steps.append(_step("poses", (), fit, marks, used, None, True))
+    for name, parameters in STEPS[1:]:
+        trial = adjust(marks, fit.block, (*free, *parameters), used)
+        gain = (fit.chi2 - trial.chi2) / max(trial.sigma0**2, 1e-12)
+        chance = float(chdtrc(len(parameters), max(gain, 0.0)))
+        kept = chance < SIGNIFICANT_P or "f" in parameters
+        steps.append(_step(name, parameters, trial, marks, used, chance, kept))
+        if kept:
+            fit, free = trial, (*free, *parameters)
+    fit, used = _without_blunders(marks, fit, used, on_control, free)
+    good = used | (~on_control & _small(marks, fit, used))
+    blunders = name_blunders(marks, fit, good, photos, points)
+    errors = intersected(marks, fit.block, good) - marks.points_m
+    return ControlCalibration(photos, points, marks, fit, tuple(steps), good, errors, blunders, notes)
+
+
+def _require_agreement(marks: MarkSet, start: BrownCamera, used: BoolArray, on_control: BoolArray) -> None:
+    """Refuse points that most marks contradict, and say where x and y are swapped (a mirrored object)."""
+    share = float(np.mean(used[on_control]))
+    if share >= AGREE_SHARE:
+        return
+    mirrored = replace(marks, points_m=marks.points_m[:, [1, 0, 2]])
+    try:
+        other = float(np.mean(resected(mirrored, start)[1][on_control]))
+    except AlignmentError:
+        other = 0.0
+    if other > share + 0.2:
+        raise InputError(
+            "The points fit the photos only with x and y swapped: give them as x east, y north, z up."
+        )
+    raise InputError(
+        f"Only {100 * share:.0f} % of the marks agree with the points. Check the points' names and the order "
+        "of their coordinates (x east, y north, z up), or give the focal length with --focal-px."
+    )
+
+
+def _step(
+    name: str,
+    parameters: tuple[str, ...],
+    fit: Fit,
+    marks: MarkSet,
+    used: BoolArray,
+    chance: float | None,
+    kept: bool,
+) -> Step:
+    good = used | (~marks.control[marks.point] & _small(marks, fit, used))
+    rms = [_rms(fit, marks, good, check) for check in (False, True)]
+    return Step(name, parameters, fit.sigma0, rms[0], rms[1], chance, kept)
+
+
+def _rms(fit: Fit, marks: MarkSet, used: BoolArray, check: bool) -> float:
+    """Of marks against the points as surveyed."""
+    surveyed = residuals_px(marks, replace(fit.block, points_m=marks.points_m))
+    mine = surveyed[used & (marks.control[marks.point] != check)]
+    return float(np.sqrt(np.mean(mine**2))) if len(mine) else float("nan")
+
+
+def _spread(fit: Fit, used: BoolArray) -> float:
+    """Robust noise per coordinate, px: residuals are smaller than the noise they come from."""
+    residual = fit.residuals_px[used] / np.sqrt(fit.redundancy[used])[:, None]
+    return max(1.4826 * float(np.median(np.abs(residual))), 0.02)
+
+
+def _small(marks: MarkSet, fit: Fit, used: BoolArray) -> BoolArray:
+    """Marks (n,) that miss the surveyed points by no more than chance and the points' own errors explain."""
+    surveyed = np.linalg.norm(residuals_px(marks, replace(fit.block, points_m=marks.points_m)), axis=1)
+    typical = float(np.median(surveyed[used])) if used.any() else marks.sigma_px
+    return np.asarray(surveyed < 6 * max(typical, marks.sigma_px))
+
+
+def _without_blunders(
+    marks: MarkSet, fit: Fit, used: BoolArray, candidates: BoolArray, free: tuple[str, ...]
+) -> tuple[Fit, BoolArray]:
+    """Marks that came out good join, the worst one goes, and again, until all are within chance."""
+    for _ in range(len(marks)):
+        spread = _spread(fit, used)
+        size = np.linalg.norm(fit.residuals_px, axis=1)
+        joined = used | (candidates & (size < 3 * spread))
+        if (joined != used).any():
+            used = joined
+            fit = adjust(marks, fit.block, free, used)
+            spread, size = _spread(fit, used), np.linalg.norm(fit.residuals_px, axis=1)
+        standard = np.where(used, size / (spread * np.sqrt(np.nan_to_num(fit.redundancy, nan=1.0))), 0.0)
+        worst = int(standard.argmax())
+        # The largest of n lengths of two coordinates (Rayleigh) exceeds this once in a hundred sets.
+        if standard[worst] < np.sqrt(2 * np.log(max(int(used.sum()), 2) / BLUNDER_P)):
+            break
+        used = used.copy()
+        used[worst] = False
+        candidates = candidates.copy()
+        candidates[worst] = False
+        fit = adjust(marks, fit.block, free, used)
+    return fit, used
+
+
+def name_blunders(
+    marks: MarkSet,
+    fit: Fit,
+    good: BoolArray,
+    photos: tuple[Photo, ...],
+    points: tuple[ControlPoint, ...],
+) -> tuple[str, ...]:
+    """What is wrong with the marks that are not ``good``: swapped names, points off, single slips."""
+    wrong = np.flatnonzero(~good)
+    said: list[str] = []
+    told: set[int] = set()
+    limit = 8 * max(_spread(fit, good), marks.sigma_px)
+    for a in wrong:
+        for b in wrong:
+            if b <= a or marks.photo[a] != marks.photo[b] or told & {int(a), int(b)}:
+                continue
+            swapped = replace(marks, point=marks.point.copy())
+            swapped.point[[a, b]] = marks.point[[b, a]]
+            miss = np.linalg.norm(residuals_px(swapped, fit.block)[[a, b]], axis=1)
+            if miss.max() < limit:
+                told |= {int(a), int(b)}
+                one, two = points[marks.point[a]].name, points[marks.point[b]].name
+                said.append(f"{one} and {two} are swapped in {photos[marks.photo[a]].path.name}.")
+    for point in np.unique(marks.point[wrong]):
+        mine = np.flatnonzero(marks.point == point)
+        off = [int(i) for i in mine if not good[i] and int(i) not in told]
+        if len(off) >= 3 and len(off) > POINT_SHARE * len(mine):
+            found = intersected(marks, fit.block, np.isin(np.arange(len(marks)), mine))[point]
+            apart = float(np.linalg.norm(found - marks.points_m[point]))
+            told |= set(off)
+            said.append(
+                f"{points[point].name}: {len(off)} of its {len(mine)} marks disagree with its coordinates, "
+                f"which seem to be off by {apart:.3g} m."
+            )
+    for i in wrong:
+        if int(i) not in told:
+            miss = float(np.linalg.norm(fit.residuals_px[i]))
+            said.append(
+                f"{points[marks.point[i]].name} in {photos[marks.photo[i]].path.name} is {miss:.1f} px off."
+            )
+    return tuple(said)
+
+
+def coverage_hint(calibration: ControlCalibration) -> str | None:
+    """What the operator should mark more of, where edges of the sensor are empty; None where none is."""
+    marks, camera = calibration.marks, calibration.camera
+    at = marks.pixels[calibration.used] / [camera.width, camera.height]
+    empty = [
+        side
+        for side, inside in (
+            ("left", at[:, 0] < 0.125),
+            ("right", at[:, 0] > 0.875),
+            ("upper", at[:, 1] < 0.125),
+            ("lower", at[:, 1] > 0.875),
+        )
+        if int(inside.sum()) < 5
+    ]
+    if not empty:
+        return None
+    return (
+        f"The {' and '.join(empty)} edge{'s' if len(empty) > 1 else ''} of the sensor hold hardly any marks: "
+        "the distortion there is a guess. Take photos nearer, or with the object towards that edge."
+    )
+
+
+def free_parameters(calibration: ControlCalibration) -> tuple[str, ...]:
+    """Names of the lens parameters that were kept."""
+    return tuple(n for i, n in enumerate(BROWN_NAMES) if calibration.fit.covariance[i, i] > 0)

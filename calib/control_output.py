@@ -1,0 +1,282 @@
+"""A calibration on control points as data (schema ``fieldcal.control/1``), as a page and as a reference."""
+
+from __future__ import annotations
+
+import json
+import math
+from importlib import metadata
+from typing import Any, Literal
+
+import numpy as np
+from pydantic import Field
+
+from calib.camera import BROWN_NAMES
+from calib.control import ControlCalibration, coverage_hint
+from calib.field import LENS_NAMES
+from calib.figures import correlation_figure
+from calib.figures.control import control_profiles_figure, marks_figure
+from calib.html_page import CROSS, TICK, drawn_sign, html_page, sentence
+from calib.onsite import calibration_date
+from calib.propagation import BROWN_KEYS, correlations
+from calib.reference import Reference
+from calib.report_figures import figures_html
+from calib.report_json import CameraModel, JsonModel, camera_model
+from calib.wording import PARAMETERS, camera_name, html_text, printable, quantity
+
+
+class StepModel(JsonModel):
+    """One release; ``chance``: probability that chance alone improves the fit as much."""
+
+    name: str
+    parameters: list[str]
+    sigma0: float | None
+    control_rms_px: float | None
+    check_rms_px: float | None
+    chance: float | None
+    kept: bool
+
+
+class ErrorModel(JsonModel):
+    """Of one kind of points: marks' rms per coordinate, and points from their marks against the survey."""
+
+    points: int
+    marks: int
+    rms_px: float | None
+    rmse_m: list[float | None]
+
+
+class ControlReport(JsonModel):
+    """The whole of ``control.json``: f, c, b in px, K and P in focal units; ``sigma`` of the free ones."""
+
+    schema_: Literal["fieldcal.control/1"] = Field(alias="schema")
+    camera: CameraModel
+    photos: list[str]
+    sigma0: float | None
+    parameters: dict[str, float]
+    sigma: dict[str, float]
+    correlation: dict[str, dict[str, float]]
+    steps: list[StepModel]
+    control: ErrorModel
+    check: ErrorModel
+    blunders: list[str]
+    hint: str | None
+    notes: list[str]
+    saved_as: str | None
+
+
+def control_report(made: ControlCalibration, saved_as: str | None = None) -> ControlReport:
+    covariance = made.fit.covariance
+    keys, matrix = correlations(covariance)
+    return ControlReport(
+        schema="fieldcal.control/1",
+        camera=camera_model(made.photos[0].camera),
+        photos=[printable(photo.path.name) for photo in made.photos],
+        sigma0=_finite(made.fit.sigma0),
+        parameters=dict(zip(BROWN_KEYS, map(float, made.camera.vector), strict=True)),
+        sigma={
+            key: float(np.sqrt(covariance[i, i])) for i, key in enumerate(BROWN_KEYS) if covariance[i, i] > 0
+        },
+        correlation={a: {b: float(matrix[i, j]) for j, b in enumerate(keys)} for i, a in enumerate(keys)},
+        steps=[
+            StepModel(
+                name=step.name,
+                parameters=list(step.parameters),
+                sigma0=_finite(step.sigma0),
+                control_rms_px=_finite(step.control_rms_px),
+                check_rms_px=_finite(step.check_rms_px),
+                chance=step.chance,
+                kept=step.kept,
+            )
+            for step in made.steps
+        ],
+        control=_errors(made, False),
+        check=_errors(made, True),
+        blunders=[printable(text) for text in made.blunders],
+        hint=coverage_hint(made),
+        notes=[printable(text) for text in made.notes],
+        saved_as=saved_as,
+    )
+
+
+def control_json(made: ControlCalibration, saved_as: str | None = None) -> str:
+    data = control_report(made, saved_as).model_dump(mode="json", by_alias=True)
+    return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def control_reference(made: ControlCalibration, name: str, temperature_c: float | None) -> Reference:
+    """As a reference for the check: Brown with its full covariance."""
+    camera, covariance = made.photos[0].camera, made.fit.covariance
+    full = np.zeros((len(LENS_NAMES), len(LENS_NAMES)))
+    full[: len(BROWN_NAMES), : len(BROWN_NAMES)] = covariance
+    sigma = np.sqrt(np.diag(covariance))
+    return Reference(
+        name=name,
+        make=camera.make,
+        model=camera.model,
+        width=camera.width,
+        height=camera.height,
+        processing=camera.processing,
+        source="fieldcal calibrate control: self-calibration on control points",
+        brown=made.camera,
+        sigma={key: float(s) for key, s in zip(BROWN_NAMES, sigma, strict=True) if s > 0},
+        covariance=full,
+        serial=camera.serial,
+        date=calibration_date(made.photos),
+        temperature_c=temperature_c,
+        provenance=summary(made),
+        exif_models=(camera.model,) if camera.model else (),
+        focal_mm=camera.focal_mm,
+        fitted_brown=made.camera,
+        fitted_covariance=covariance,
+    )
+
+
+def summary(made: ControlCalibration) -> str:
+    """Counts and residuals in one line."""
+    control = int(made.marks.control.sum())
+    text = (
+        f"{len(made.photos)} photos, {control} control and {len(made.points) - control} check points, "
+        f"{int(made.used.sum())} marks, sigma0 {made.fit.sigma0:.2f}, rms {made.rms_px(False):.2f} px on control"
+    )
+    check = made.rms_px(True)
+    return text + (f" and {check:.2f} px on check points" if math.isfinite(check) else "")
+
+
+def render_control(made: ControlCalibration, saved_as: str | None = None) -> str:
+    """The report as HTML text, in the look of the check's."""
+    sigma = 100 * float(np.sqrt(made.fit.covariance[0, 0])) / made.camera.f_px
+    fine = not made.blunders
+    head = (
+        f'<header class="verdict {"trust" if fine else "cannot_tell"}"><h1>{drawn_sign(TICK if fine else CROSS)}'
+        f"<span>CALIBRATED</span></h1><p>"
+        + sentence(
+            f"The focal length is {made.camera.f_px:.2f} px, known to {sigma:.3f} % (1 sigma)"
+            + ("." if fine else f"; {len(made.blunders)} blunders were left out.")
+        )
+        + "</p></header>"
+    )
+    facts = f"Calibration on control points · {camera_name(made.photos[0].camera)} · {summary(made)}"
+    parts = [head, "<main>", f'<p class="facts">{sentence(facts)}</p>', _blunders(made), _steps(made)]
+    parts += [_points(made), figures_html(_figures(made)), _parameters(made), _provenance(made, saved_as)]
+    return html_page(f"CALIBRATED: {camera_name(made.photos[0].camera)}", "\n".join([*parts, "</main>"]))
+
+
+def _blunders(made: ControlCalibration) -> str:
+    said = [*made.blunders, *made.notes]
+    hint = coverage_hint(made)
+    if hint is not None:
+        said.append(hint)
+    if not said:
+        return ""
+    items = "".join(f"<li>{sentence(text)}</li>" for text in said)
+    return f'<section class="fly"><h2>What to look at</h2><ul class="names">{items}</ul></section>'
+
+
+def _table(title: str, caption: str, heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+    head = "".join(f'<th scope="col">{html_text(text)}</th>' for text in heads)
+    body = "".join(
+        f'<tr><th scope="row">{html_text(row[0])}</th>'
+        + "".join(f"<td>{html_text(cell)}</td>" for cell in row[1:])
+        + "</tr>"
+        for row in rows
+    )
+    return (
+        f"<section><h2>{html_text(title)}</h2><table><caption>{sentence(caption)}</caption>"
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></section>"
+    )
+
+
+def _steps(made: ControlCalibration) -> str:
+    rows = []
+    for step in made.steps:
+        chance = "" if step.chance is None else f"{step.chance:.2g}"
+        rows.append(
+            (
+                step.name,
+                quantity(step.sigma0, None, "", 3),
+                quantity(step.control_rms_px, None, "px", 3),
+                quantity(step.check_rms_px, None, "px", 3),
+                chance,
+                "kept" if step.kept else "left out",
+            )
+        )
+    return _table(
+        "Release in steps",
+        "Each step joins those kept before it; it stays where chance explains its gain with less than 1 %.",
+        ("Step", "sigma0", "Control", "Check", "Chance", ""),
+        rows,
+    )
+
+
+def _points(made: ControlCalibration) -> str:
+    rows = []
+    for name, check in (("control", False), ("check", True)):
+        error = _errors(made, check)
+        sizes = [quantity(None if v is None else 1000 * v, None, "mm", 3) for v in error.rmse_m]
+        rows.append(
+            (name, str(error.points), str(error.marks), quantity(error.rms_px, None, "px", 3), *sizes)
+        )
+    return _table(
+        "Points",
+        "Rms of the marks per coordinate; root mean square errors of the points from their marks, x y z.",
+        ("Points", "Number", "Marks", "Marks rms", "x", "y", "z"),
+        rows,
+    )
+
+
+def _figures(made: ControlCalibration) -> list[tuple[str, str, Any]]:
+    hint = coverage_hint(made)
+    return [
+        ("Marks over the sensor", hint or "The marks reach all edges.", marks_figure(made)),
+        (
+            "Radial and decentring profiles",
+            "As far out as there are marks; beyond, the polynomial is free to go anywhere.",
+            control_profiles_figure(made),
+        ),
+        (
+            "Correlations",
+            "Correlations between the estimated parameters; near ±1 two of them cannot be told apart.",
+            correlation_figure(made.fit.covariance),
+        ),
+    ]
+
+
+def _parameters(made: ControlCalibration) -> str:
+    rows = []
+    sigmas = np.sqrt(np.diag(made.fit.covariance))
+    for key, value, sigma in zip(BROWN_KEYS, made.camera.vector, sigmas, strict=True):
+        if sigma > 0 or key in ("f_px", "cx_px", "cy_px"):
+            name, unit = PARAMETERS[key]
+            shown = quantity(float(value), float(sigma), unit, 6) + ("" if sigma > 0 else " (held)")
+            rows.append((name, shown))
+    return _table(
+        "Parameters",
+        "One standard deviation. K and P in focal units; undistorted to distorted; image corner at (0, 0).",
+        ("Parameter", "This calibration"),
+        rows,
+    )
+
+
+def _provenance(made: ControlCalibration, saved_as: str | None) -> str:
+    rows = [
+        ("Photos", ", ".join(photo.path.name for photo in made.photos)),
+        ("Date", calibration_date(made.photos)),
+        ("Saved as", saved_as or "not saved"),
+        ("Software", f"fieldcal {metadata.version('fieldcal')}, plotly {metadata.version('plotly')}"),
+    ]
+    items = "".join(f"<dt>{html_text(name)}</dt><dd>{html_text(value)}</dd>" for name, value in rows)
+    return f"<section><h2>Where this comes from</h2><dl>{items}</dl></section>"
+
+
+def _errors(made: ControlCalibration, check: bool) -> ErrorModel:
+    mine = made.marks.control != check
+    return ErrorModel(
+        points=int(mine.sum()),
+        marks=int((made.used & mine[made.marks.point]).sum()),
+        rms_px=_finite(made.rms_px(check)),
+        rmse_m=[_finite(float(v)) for v in made.rmse_m(check)],
+    )
+
+
+def _finite(value: float) -> float | None:
+    return float(value) if math.isfinite(value) else None

@@ -1,0 +1,299 @@
+"""``fieldcal calibrate``: a camera calibrated on site, accepted or not, and kept as a reference."""
+
+from __future__ import annotations
+
+import math
+import sys
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+import numpy as np
+import typer
+from rich.text import Text
+
+from calib.check import read_set
+from calib.control import (
+    MARK_SIGMA_PX,
+    POINT_SIGMA_M,
+    ControlCalibration,
+    calibrate_control,
+    coverage_hint,
+    prepare,
+)
+from calib.control_files import read_marks, read_points
+from calib.control_output import control_json, control_reference, render_control, summary
+from calib.errors import InputError
+from calib.files import check_file_writable, output_folder, write_text_atomic
+from calib.onsite import (
+    Acceptance,
+    Calibration,
+    Kind,
+    calibrate_photos,
+    calibration_reference,
+    default_name,
+)
+from calib.onsite_json import calibration_json
+from calib.onsite_report import render_calibration
+from calib.onsite_rules import REFERENCE_SIGMA_PERCENT
+from calib.photos import collect, read_photos
+from calib.photos.sort import require_block
+from calib.reference_file import write_reference_file
+from calib.references import check_saving, save_reference
+from calib.wording import camera_name, path_text, photos_given
+from daemon.output import console, table, write_stdout
+from daemon.progress import progress_line
+from daemon.terminal import BADGES, print_findings, wrapped
+
+app = typer.Typer(
+    help="Calibrate a camera on site: on a flat wall or from any convergent flight.",
+    no_args_is_help=True,
+    rich_markup_mode=None,
+)
+DEFAULT_OUT = Path("fieldcal-out")
+REPORT_HTML, REPORT_JSON, REFERENCE_JSON = "calibration.html", "calibration.json", "reference.json"
+
+PhotosArgument = Annotated[
+    list[Path], typer.Argument(metavar="PHOTOS...", help="Photos, or folders of photos.", readable=False)
+]
+NameOption = Annotated[
+    str | None, typer.Option(help="Name in your store (default: camera and serial number).")
+]
+OutOption = Annotated[Path, typer.Option(metavar="DIR", help="Where report and data go.", readable=False)]
+TemperatureOption = Annotated[
+    float | None, typer.Option("--temperature", metavar="C", help="Air temperature, degrees Celsius.")
+]
+JsonOption = Annotated[
+    str | None,
+    typer.Option("--json", metavar="FILE|-", help="Also write calibration.json here, or to stdout."),
+]
+QuietOption = Annotated[bool, typer.Option("--quiet", help="Only the result; no progress.")]
+
+
+@dataclass(frozen=True)
+class _Wanted:
+    name: str | None
+    out: Path
+    temperature_c: float | None
+    json_to: str | None
+    quiet: bool
+
+
+@app.command()
+def wall(
+    photos: PhotosArgument,
+    name: NameOption = None,
+    out: OutOption = DEFAULT_OUT,
+    temperature: TemperatureOption = None,
+    json_to: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Calibrate on a flat wall, 20-30 convergent photos. Exit code 0 accepted, 3 retake, 4 cannot tell."""
+    return _calibrate(photos, Kind.WALL, _Wanted(name, out, temperature, json_to, quiet))
+
+
+@app.command()
+def orbit(
+    photos: PhotosArgument,
+    name: NameOption = None,
+    out: OutOption = DEFAULT_OUT,
+    temperature: TemperatureOption = None,
+    json_to: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Calibrate from any convergent flight. Exit code 0 accepted, 3 retake, 4 cannot tell."""
+    return _calibrate(photos, Kind.ORBIT, _Wanted(name, out, temperature, json_to, quiet))
+
+
+def _calibrate(photos: list[Path], kind: Kind, wanted: _Wanted) -> int:
+    # What can be refused at once is refused before a minute's work.
+    if wanted.name is not None:
+        check_saving(wanted.name)
+    if wanted.temperature_c is not None and not (-90 <= wanted.temperature_c <= 90):
+        raise InputError(f"{wanted.temperature_c:g} is no air temperature in degrees Celsius.")
+    hidden = wanted.quiet or sys.stderr is None or not sys.stderr.isatty()
+    with progress_line(hidden, "starting") as report:
+        found = read_set(photos, report)
+        require_block(found)
+        name = wanted.name or default_name(found.used[0].camera)
+        check_saving(name)
+        with output_folder(wanted.out):
+            if wanted.json_to is not None and wanted.json_to != "-":
+                check_file_writable(Path(wanted.json_to))
+            made = calibrate_photos(found, kind, report, temperature_c=wanted.temperature_c)
+            saved = _write(made, wanted.out, name)
+    if wanted.json_to == "-":
+        write_stdout(calibration_json(made, saved))
+    elif wanted.json_to is not None:
+        write_text_atomic(Path(wanted.json_to), calibration_json(made, saved))
+    _show(made, wanted, saved)
+    return made.acceptance.verdict.exit_code
+
+
+def _write(made: Calibration, out: Path, name: str) -> str | None:
+    """Report, data and, where it is accepted, the reference; the name it was saved under."""
+    saved = None
+    own_copy = out / REFERENCE_JSON
+    if made.acceptance is Acceptance.ACCEPTED:
+        reference = calibration_reference(made, name)
+        write_reference_file(reference, own_copy)
+        save_reference(reference)
+        saved = name
+    else:
+        # The reference of an earlier try must not stand beside this report.
+        own_copy.unlink(missing_ok=True)
+    write_text_atomic(out / REPORT_HTML, render_calibration(made, saved))
+    write_text_atomic(out / REPORT_JSON, calibration_json(made, saved))
+    return saved
+
+
+def _show(made: Calibration, wanted: _Wanted, saved: str | None) -> None:
+    to_stderr = wanted.json_to == "-"
+    say = console(to_stderr)
+    if wanted.quiet:
+        if not to_stderr:
+            say.print(f"{made.acceptance.words}: {made.headline}", soft_wrap=True)
+        return
+    width = max(min(say.width, 80), 20)
+
+    def paragraph(text: str, style: str = "", indent: str = "", hanging: str | None = None) -> None:
+        for line in wrapped(text, width, indent, indent if hanging is None else hanging):
+            say.print(Text(line, style=style), soft_wrap=True)
+
+    for note in made.notes:
+        paragraph(note)
+    say.print()
+    badge = f" {made.acceptance.words} "
+    first, *rest = wrapped(made.headline, width, " " * (len(badge) + 2))
+    say.print(Text.assemble((badge, BADGES[made.acceptance.verdict]), first[len(badge) :]), soft_wrap=True)
+    for line in rest:
+        say.print(Text(line), soft_wrap=True)
+    say.print()
+    photos = f"{photos_given(made)} photos, {len(made.solution.photos)} aligned"
+    paragraph(f"{camera_name(made.camera)}, {photos}", "dim")
+    say.print()
+    print_findings(made.findings, say, width)
+    if made.what_to_do:
+        say.print()
+        say.print(Text("What to do", style="bold"))
+        for text in made.what_to_do:
+            paragraph(text, indent="  - ", hanging="    ")
+    say.print()
+    if saved is None:
+        paragraph("Not saved as a reference.")
+    else:
+        paragraph(f"Saved as {saved}: fieldcal check PHOTOS --reference {saved}")
+    say.print(Text(f"Report: {path_text(wanted.out / REPORT_HTML)}"), soft_wrap=True)
+
+
+@app.command()
+def control(
+    photos: PhotosArgument,
+    marks: Annotated[
+        Path, typer.Option(metavar="FILE", help="Marks: CSV, ODM gcp_list.txt or Metashape markers XML.")
+    ],
+    points: Annotated[
+        Path | None,
+        typer.Option(metavar="FILE", help="Points: CSV (default: those in the file of marks)."),
+    ] = None,
+    focal_px: Annotated[
+        float | None, typer.Option(metavar="PX", help="Focal length to start from (default: the photos').")
+    ] = None,
+    mark_sigma_px: Annotated[
+        float, typer.Option(min=0.01, max=20, help="Precision of a mark, px.")
+    ] = MARK_SIGMA_PX,
+    point_sigma_m: Annotated[
+        float,
+        typer.Option(min=0, max=10, help="Precision of a point where the file states none; 0 holds it."),
+    ] = POINT_SIGMA_M,
+    check_every: Annotated[
+        int,
+        typer.Option(min=0, max=50, help="Every so many points is a check point, where none is marked so."),
+    ] = 0,
+    name: NameOption = None,
+    out: OutOption = DEFAULT_OUT,
+    temperature: TemperatureOption = None,
+    json_to: JsonOption = None,
+    quiet: QuietOption = False,
+) -> int:
+    """Calibrate on control points, parameters in steps. Exit code 0 done, 3 if f is too vague to keep."""
+    wanted = _Wanted(name, out, temperature, json_to, quiet)
+    if name is not None:
+        check_saving(name)
+    found_marks = read_marks(marks)
+    surveyed = found_marks.points if points is None else read_points(points)
+    if not surveyed:
+        raise InputError(f"{marks} holds no coordinates; give the points with --points.")
+    hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
+    with progress_line(hidden, "reading metadata") as report:
+        files = collect(photos)
+        read, bad = read_photos(files, lambda done: report("reading metadata", done, len(files)))
+    if not read:
+        raise InputError(f"No photo can be read ({bad[0].path}: {bad[0].reason}).")
+    marked, kept, chosen, notes = prepare(
+        read, surveyed, found_marks.marks, mark_sigma_px, point_sigma_m, check_every
+    )
+    start = focal_px or next((p.focal_px for p in kept if p.focal_px), None)
+    if start is None:
+        raise InputError("The photos do not state their focal length; give it with --focal-px.")
+    if not 0.1 < start / kept[0].camera.width < 100:
+        raise InputError(f"{start:g} px is no focal length of photos {kept[0].camera.width} px wide.")
+    made = calibrate_control(marked, kept, chosen, start, notes)
+    saving = wanted.name or default_name(kept[0].camera)
+    check_saving(saving)
+    sigma = 100 * math.sqrt(made.fit.covariance[0, 0]) / made.camera.f_px
+    good = sigma <= REFERENCE_SIGMA_PERCENT
+    with output_folder(out):
+        if json_to is not None and json_to != "-":
+            check_file_writable(Path(json_to))
+        saved = None
+        (out / REFERENCE_JSON).unlink(missing_ok=True)
+        if good:
+            reference = control_reference(made, saving, temperature)
+            write_reference_file(reference, out / REFERENCE_JSON)
+            save_reference(reference)
+            saved = saving
+        write_text_atomic(out / "control.html", render_control(made, saved))
+        write_text_atomic(out / "control.json", control_json(made, saved))
+        if json_to is not None and json_to != "-":
+            write_text_atomic(Path(json_to), control_json(made, saved))
+    if json_to == "-":
+        write_stdout(control_json(made, saved))
+    _show_control(made, wanted, saved, sigma)
+    return 0 if good else 3
+
+
+def _show_control(made: ControlCalibration, wanted: _Wanted, saved: str | None, sigma: float) -> None:
+    to_stderr = wanted.json_to == "-"
+    say = console(to_stderr)
+    headline = f"f {made.camera.f_px:.2f} px, known to {sigma:.4f} % (1 sigma)"
+    if wanted.quiet:
+        if not to_stderr:
+            say.print(headline)
+        return
+    say.print(headline)
+    say.print(summary(made), soft_wrap=True)
+    numbers = ("sigma0", "control px", "check px", "chance")
+    rows = table("step", *numbers, "", numbers=numbers)
+    for step in made.steps:
+        chance = "" if step.chance is None else f"{step.chance:.2g}"
+        check = f"{step.check_rms_px:.2f}" if math.isfinite(step.check_rms_px) else "-"
+        kept = "kept" if step.kept else "left out"
+        rows.add_row(step.name, f"{step.sigma0:.2f}", f"{step.control_rms_px:.2f}", check, chance, kept)
+    say.print(rows)
+    for label, check_points in (("control", False), ("check", True)):
+        errors = made.rmse_m(check_points)
+        if np.isfinite(errors).all():
+            x, y, z = 1000 * errors
+            say.print(f"{label} points: RMSE x {x:.1f}, y {y:.1f}, z {z:.1f} mm")
+    for text in (*made.blunders, *made.notes, *filter(None, [coverage_hint(made)])):
+        say.print(text, soft_wrap=True)
+    if saved is None:
+        limit = f"{REFERENCE_SIGMA_PERCENT:g} %"
+        say.print(
+            f"Not saved: a reference needs {limit}. Mark more points, towards the corners too.",
+            soft_wrap=True,
+        )
+    else:
+        say.print(f"Saved as {saved}: fieldcal check PHOTOS --reference {saved}", soft_wrap=True)
+    say.print(f"Report: {path_text(wanted.out / 'control.html')}", soft_wrap=True)

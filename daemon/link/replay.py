@@ -1,0 +1,53 @@
+"""A recorded flight as a source: the same events in the same order at the log's times, at once."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from pathlib import Path
+from types import TracebackType
+from typing import Self
+
+from daemon.link.state import Heard, LinkState
+from daemon.link.tlog import read_log
+
+
+class Replay:
+    """Reads as fast as it is asked. Two replays of one log are equal, and equal to the flight itself.
+
+    Raises (while it runs):
+        InputError: the log cannot be read. FormatError: it is none.
+    """
+
+    def __init__(self, path: Path) -> None:
+        self._frames = read_log(path)
+        self._state = LinkState()
+        self._at_s = 0.0
+        self._closed = False
+
+    @property
+    def state(self) -> LinkState:
+        return self._state
+
+    def now_s(self) -> float:
+        return self._at_s
+
+    def events(self, wait_s: float | None = None) -> Iterator[Heard]:
+        del wait_s
+        for at_us, frame in self._frames:
+            if self._closed:
+                return
+            self._at_s = at_us / 1e6
+            self._state, events = self._state.hear(frame, self._at_s)
+            for event in events:
+                yield Heard(self._at_s, event)
+
+    def close(self) -> None:
+        self._closed = True
+
+    def __enter__(self) -> Self:
+        return self
+
+    def __exit__(
+        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
+    ) -> None:
+        self.close()

@@ -1,0 +1,311 @@
+"""The shortest pass that cures a flown network, within what site and battery allow."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+import shapely.ops
+
+from calib.camera import FloatArray
+from calib.evidence import CONVERGENT_DEG
+from calib.limits import CONVERGENT_LIMIT_PERCENT, LEAST_CONVERGENT
+from mission.candidates import Candidates
+from mission.fixing import polish
+from mission.optimise import Choice, Criterion, Search, Worths
+from mission.plan import Station
+from mission.planned_network import PlannedNetwork
+from mission.refly_passes import (
+    AIM_DEG,
+    LEAST_HEIGHT,
+    MOST_TILT_DEG,
+    Shape,
+    arcs,
+    heights_for,
+    orbits,
+    paper_fan,
+    singles,
+    strips,
+    tilts_for,
+)
+from mission.refly_route import PassDetours
+from mission.reroute import allowed_station
+from mission.route import Gap
+from mission.site import Site
+
+#: The search thins each photo's points; a pass that fails with all of them is searched again, stricter.
+_ROUNDS = 4
+#: Passes of more photos are not polished: one photo more or less hardly shows in them.
+MANY_PHOTOS = 14
+#: Least distance, in flying heights, between photos whose axes differ by less than this.
+APART, APART_DEG = 0.18, 15.0
+
+
+@dataclass(frozen=True)
+class Worth:
+    """What is known with a pass taken: f, dome in percent (model error included), and the lens's covariance.
+
+    ``lens`` (q, q) over the network's free parameters, model error included.
+    """
+
+    sigma_f_percent: float
+    dome_percent: float
+    lens: FloatArray
+
+
+@dataclass(frozen=True)
+class Found:
+    """A pass: photos in the order in which they are flown, what it costs and what it is worth.
+
+    ``ratio``: f and dome against their limits with the worst photo missing (1: just good).
+    ``counted``: enough of its photos are oblique enough for the check, with one missing. ``shape``: the
+    regular pass that it is, None for single photos.
+    """
+
+    stations: tuple[Station, ...]
+    seconds: float
+    ratio: float
+    counted: bool
+    worth: Worth
+    shape: Shape | None
+
+    @property
+    def good(self) -> bool:
+        """Whether it cures."""
+        return self.counted and self.ratio <= 1.0
+
+    @property
+    def rank(self) -> tuple[bool, float, float]:
+        """Smaller is nearer to a cure, then shorter."""
+        return (not self.counted, max(self.ratio, 1.0), self.seconds)
+
+
+def criterion_for(planned: PlannedNetwork) -> Criterion:
+    """Limits of f and dome, and as many photos that the check counts enough oblique ones with one missing."""
+    axis = planned.network.rotations[:, 2, :]
+    tilt = np.degrees(np.arccos(np.clip(-axis[:, 2], -1, 1)))
+    oblique = int((tilt >= CONVERGENT_DEG).sum())
+    if 100 * oblique >= CONVERGENT_LIMIT_PERCENT * (len(tilt) + LEAST_CONVERGENT):
+        return Criterion()
+    return Criterion(least_photos=max(LEAST_CONVERGENT - oblique, 0) + 1)
+
+
+def place_of_pass(planned: PlannedNetwork) -> FloatArray:
+    """Middle (2,) of the ground that the pass looks at: well inside the block, near the launch point."""
+    hull = shapely.MultiPoint(planned.network.centres_m[:, :2]).convex_hull
+    for share in (1.0, 0.7, 0.4):
+        inner = hull.buffer(-share * planned.height_agl_m)
+        if not inner.is_empty:
+            nearest = shapely.ops.nearest_points(inner, shapely.Point(0, 0))[0]
+            return np.array([nearest.x, nearest.y])
+    return np.array([hull.centroid.x, hull.centroid.y])
+
+
+def line_direction_deg(planned: PlannedNetwork) -> float:
+    """Compass direction of the survey's lines: the commonest way from one photo to the next."""
+    steps = np.diff(planned.network.centres_m[:, :2], axis=0)
+    twice = 2 * np.arctan2(steps[:, 0], steps[:, 1])
+    weight = np.linalg.norm(steps, axis=1)
+    mean = math.atan2(float(weight @ np.sin(twice)), float(weight @ np.cos(twice)))
+    return math.degrees(mean / 2) % 180.0
+
+
+class PassSearch:
+    """Candidates of one site around one place, searched under one criterion.
+
+    ``most_s``: longest flight, from the ground and back.
+    """
+
+    def __init__(
+        self,
+        planned: PlannedNetwork,
+        site: Site,
+        return_height_m: float,
+        most_s: float = math.inf,
+        criterion: Criterion | None = None,
+        feasible: Callable[[Station], bool] | None = None,
+    ) -> None:
+        self.planned, self.site, self.most_s = planned, site, most_s
+        self.criterion = criterion or criterion_for(planned)
+        self.middle_m = place_of_pass(planned)
+        self.ground_m = site.ground_m(float(self.middle_m[0]), float(self.middle_m[1]))
+        self.tilts_deg = tilts_for(site.vehicle)
+        allowed = feasible or allowed_station(site)
+
+        ceiling = site.space.ceiling_m
+        self.heights = heights_for(
+            planned.height_agl_m, math.inf if ceiling is None else ceiling - self.ground_m
+        )
+        lowest_m = 0.97 * min((*self.heights, LEAST_HEIGHT)) * planned.height_agl_m
+
+        def counts(station: Station) -> bool:
+            """Whether the check counts it as convergent (where the camera can look aside), and the survey's
+            photos will match it: not from much nearer, not too flatly."""
+            tilt = 90.0 + station.pitch_deg
+            if not self.tilts_deg:
+                return True
+            return (
+                CONVERGENT_DEG + AIM_DEG - 0.01 <= tilt <= MOST_TILT_DEG
+                and station.height_m - self.ground_m >= lowest_m
+            )
+
+        gaps = [Gap(np.zeros(3), np.zeros(3), 0)]
+        self.candidates = Candidates(
+            planned, self.middle_m, site.vehicle, gaps, lambda s: counts(s) and allowed(s)
+        )
+        self.candidates.detours = PassDetours(site.vehicle, return_height_m)
+        self.shapes: list[tuple[tuple[int, ...], Shape]] = []
+        self._found: dict[tuple[int, ...], Found] = {}
+
+    def fill(self) -> None:
+        """Put every candidate that is allowed into the pool."""
+        middle, ground, height = self.middle_m, self.ground_m, self.planned.height_agl_m
+        if self.tilts_deg:
+            given = (middle, ground, height, self.tilts_deg, self.heights)
+            self._add_shapes([*orbits(*given), paper_fan(middle, ground, height)])
+            self._add_shapes(arcs(*given))
+            self.candidates.add(singles(*given))
+        else:
+            along = line_direction_deg(self.planned)
+            self._add_shapes(strips(middle, ground, height, along))
+
+    def alike(self, one: int, other: int) -> bool:
+        """Whether two candidates look the same way from nearly the same place: one fault would spoil both."""
+        a, b = self.candidates.stations[one], self.candidates.stations[other]
+        here, there = (a.east_m, a.north_m, a.height_m), (b.east_m, b.north_m, b.height_m)
+        if math.dist(here, there) >= APART * self.planned.height_agl_m:
+            return False
+        lean, other_lean = math.radians(90.0 + a.pitch_deg), math.radians(90.0 + b.pitch_deg)
+        turn = math.cos(math.radians(a.yaw_deg - b.yaw_deg))
+        cosine = math.sin(lean) * math.sin(other_lean) * turn + math.cos(lean) * math.cos(other_lean)
+        return cosine > math.cos(math.radians(APART_DEG))
+
+    def _add_shapes(self, shapes: list[Shape]) -> None:
+        for shape in shapes:
+            kept = [i for i in self.candidates.add(shape.stations) if i is not None]
+            # What the fence leaves of a circle is a pass, too, but not that circle.
+            if kept and (len(kept) == len(shape.stations) or shape.kind == "orbit"):
+                self.shapes.append((tuple(sorted(set(kept))), shape))
+
+    def search(self, criterion: Criterion) -> Search:
+        """A search over the pool under another criterion."""
+        worths = Worths(self.candidates.pool, self.planned.worth)
+        return Search(worths, self.candidates.detours, criterion, self.alike)
+
+    def best(self) -> Found | None:
+        """The shortest pass that cures, or what comes nearest; None where no photo is allowed."""
+        if not self.candidates.stations:
+            return None
+        regular = self.regular("orbit", "arc", "strip")
+        if not self.tilts_deg:
+            return regular
+        found = self._cheapest()
+        if regular is not None and regular.rank < found.rank:
+            found = regular
+        return self.within_time() if found.seconds > self.most_s else found
+
+    def _cheapest(self) -> Found:
+        wanted = self.criterion
+        found: Found | None = None
+        for _ in range(_ROUNDS):
+            hunt = self.search(wanted)
+            quick = [hunt.greedy((), by_time) for by_time in (False, True)]
+            if min(len(choice.photos) for choice in quick) > MANY_PHOTOS:
+                choice = min(quick, key=lambda c: (not c.good, c.seconds))
+            else:
+                choice = hunt.best([photos for photos, _ in self.shapes if len(photos) > 2])
+                choice = self._improved(hunt, choice)
+            found = self.found(choice.photos)
+            if found.good or not choice.good:
+                break
+            tighter = (wanted.sigma_f_percent / self.criterion.sigma_f_percent) / (1.02 * found.ratio)
+            wanted = Criterion(
+                self.criterion.sigma_f_percent * tighter,
+                self.criterion.dome_percent * tighter,
+                self.criterion.least_photos,
+            )
+        if found is None:
+            raise ValueError("a search needs rounds")
+        return found
+
+    def _improved(self, hunt: Search, choice: Choice) -> Choice:
+        """Stations shifted, then exchanged for each other again, as long as that saves time."""
+        for _ in range(_ROUNDS):
+            before = choice.seconds
+            choice = hunt.exchange(polish(self.candidates, hunt, choice, self.ground_m))
+            if not choice.good or choice.seconds > 0.98 * before:
+                break
+        return choice
+
+    def within_time(self) -> Found | None:
+        """The pass worth most among those that the battery allows."""
+        hunt = self.search(self.criterion)
+        best = self.regular("orbit", "arc")
+        for by_time in (True, False):
+            choice = hunt.greedy((), by_time, self.most_s)
+            photos = choice.photos
+            while photos and self.candidates.detours.seconds(photos) > self.most_s:
+                photos = self._without_dearest(photos)
+            if photos:
+                found = self.found(photos)
+                if best is None or found.rank < best.rank:
+                    best = found
+        return best
+
+    def _without_dearest(self, photos: tuple[int, ...]) -> tuple[int, ...]:
+        rests = [tuple(p for p in photos if p != one) for one in photos]
+        return min(rests, key=lambda rest: (self.candidates.detours.seconds(rest), rest))
+
+    def regular(self, *kinds: str, whole: bool = False, highest_m: float = math.inf) -> Found | None:
+        """The shortest regular pass of these kinds that cures; where none does, the best one.
+
+        ``whole``: only if all of its photos are allowed. ``highest_m``: above launch.
+        """
+        options = [
+            (self.candidates.detours.seconds(photos), photos, shape)
+            for photos, shape in self.shapes
+            if shape.kind in kinds
+            and shape.height_m <= highest_m
+            and (not whole or len(photos) == len(shape.stations))
+        ]
+        hunt = self.search(replace(self.criterion, least_photos=0))
+        nearest: tuple[float, tuple[int, ...]] | None = None
+        for seconds, photos, _ in sorted(options, key=lambda o: (o[0], o[1])):
+            if seconds > self.most_s:
+                break
+            ratio = hunt.ratio(photos)
+            if ratio <= 1.05 and self.found(photos).good:
+                return self.found(photos)
+            if nearest is None or ratio < nearest[0]:
+                nearest = (ratio, photos)
+        return None if nearest is None else self.found(nearest[1])
+
+    def found(self, photos: tuple[int, ...]) -> Found:
+        """Photos of the pool as a pass, valued with all the points that they see."""
+        photos = tuple(sorted(photos))
+        if photos not in self._found:
+            self._found[photos] = self._valued(photos)
+        return self._found[photos]
+
+    def _valued(self, photos: tuple[int, ...]) -> Found:
+        candidates, planned = self.candidates, self.planned
+        dense = candidates.dense_pool(photos)
+        without_count = replace(self.criterion, least_photos=0)
+        check = Search(Worths(dense, planned.worth), candidates.detours, without_count)
+        with_all = dense.combined(tuple(range(len(dense)))).head
+        q, factor = len(planned.f_gradient), planned.assumptions.model_error_factor
+        order = candidates.detours.order(photos)[0]
+        oblique = sum(
+            90.0 + candidates.stations[i].pitch_deg >= CONVERGENT_DEG + AIM_DEG - 0.01 for i in photos
+        )
+        return Found(
+            tuple(candidates.stations[i] for i in order),
+            candidates.detours.seconds(photos),
+            check.ratio(range(len(dense))),
+            oblique >= self.criterion.least_photos,
+            Worth(*planned.worth(with_all), factor**2 * with_all[:q, :q]),
+            next((shape for known, shape in self.shapes if known == photos), None),
+        )

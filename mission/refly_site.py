@@ -1,0 +1,172 @@
+"""Where the extra pass is flown: a check's network in the frame around the launch point, and its site."""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass, replace
+
+import numpy as np
+import shapely
+from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+from shapely import Polygon
+
+from calib.align.selfcal import BASIC, mask
+from calib.brownfit import fit_brown
+from calib.camera import FloatArray
+from calib.errors import InputError
+from calib.flown import FlownNetwork
+from calib.flown_file import FlownCheck
+from calib.frames import LocalFrame
+from calib.network_design import dome_functional, lens_information
+from calib.network_views import SIMULATED
+from mission.planned_network import MODEL_ERROR_FACTOR, Assumptions, PlannedNetwork
+from mission.site import Site
+from mission.site_build import site_of, terrain_of
+from mission.site_file import SiteFile
+
+#: Farther away, a launch point belongs to another place.
+_FARTHEST_LAUNCH_M = 5000.0
+#: Side of the cells of ground whose tie points' median is one height of the terrain.
+_CELL_M = 8.0
+#: Attitudes without a measurement are known to this much from the plan itself.
+_ATTITUDE_SIGMA_DEG = 5.0
+#: A block whose own sigma exceeds that of its network by more than this had other trouble than geometry.
+_MOST_LOST = 2.0
+
+
+@dataclass(frozen=True, eq=False)
+class TiePointTerrain:
+    """The ground as the tie points have it; beyond them the nearest one's height."""
+
+    inside: LinearNDInterpolator
+    nearest: NearestNDInterpolator
+    name: str = "the survey's tie points"
+    resolution_m: float = _CELL_M
+
+    def height_m(self, east_m: FloatArray, north_m: FloatArray) -> FloatArray:
+        """Heights (...) above the launch point at east (...), north (...), m."""
+        found = np.asarray(self.inside(east_m, north_m), dtype=float)
+        height: FloatArray = np.where(np.isfinite(found), found, self.nearest(east_m, north_m))
+        return height
+
+
+def tie_point_terrain(points_m: FloatArray) -> TiePointTerrain:
+    """Terrain from points (m, 3)."""
+    cell = np.floor(points_m[:, :2] / _CELL_M).astype(int)
+    _, group = np.unique(cell, axis=0, return_inverse=True)
+    order = np.argsort(group, kind="stable")
+    parts = np.split(order, np.flatnonzero(np.diff(group[order])) + 1)
+    nodes = np.array([np.median(points_m[part], axis=0) for part in parts])
+    if len(nodes) < 4 or np.linalg.matrix_rank(nodes[:, :2] - nodes[:, :2].mean(axis=0), tol=1.0) < 2:
+        corners = 1000.0 * np.array([[-1, -1], [-1, 1], [1, -1], [1, 1]])
+        nodes = np.column_stack([corners, np.full(4, np.median(points_m[:, 2]))])
+    return TiePointTerrain(
+        LinearNDInterpolator(nodes[:, :2], nodes[:, 2]), NearestNDInterpolator(nodes[:, :2], nodes[:, 2])
+    )
+
+
+@dataclass(frozen=True)
+class FlownSite:
+    """A flown block around its launch point.
+
+    ``planned``: its network as the search takes it, camera heights above the launch point's ground.
+    ``notes``: what was assumed, for the operator.
+    """
+
+    check: FlownCheck
+    site: Site
+    planned: PlannedNetwork
+    notes: tuple[str, ...]
+
+    @property
+    def centres_m(self) -> FloatArray:
+        """Where photos were taken, (k, 3)."""
+        return self.planned.network.centres_m
+
+
+def flown_site(check: FlownCheck, keys: SiteFile, name: str = "refly") -> FlownSite:
+    """The block of ``check`` and the limits of ``keys`` (area, camera and height come from the block).
+
+    Raises:
+        InputError: no believed geotags place the block, or a key is unusable.
+    """
+    if check.origin_wgs84 is None:
+        why = f" {check.geotag_fault}" if check.geotag_fault else ""
+        raise InputError(
+            "The photos' positions do not say where this block lies, so no stations can be given for "
+            f"it.{why} Fly  a circle by hand as the report says under What to fly."
+        )
+    own = LocalFrame(*check.origin_wgs84)
+    net = check.flown.network
+    notes = []
+    if keys.launch is None:
+        place = own.geodetic(net.centres_m[:1])[0]
+        latitude, longitude = float(place[0]), float(place[1])
+        notes.append("No launch point is given: the place below the first photo is taken.")
+    else:
+        latitude, longitude = keys.launch
+    at = own.enu(np.array([latitude]), np.array([longitude]), np.array([own.altitude_m]))[0]
+    away = float(np.linalg.norm(net.centres_m[:, :2] - at[:2], axis=1).min())
+    if not away < _FARTHEST_LAUNCH_M:
+        raise InputError(
+            f"The launch point {latitude:.6f}, {longitude:.6f} is {away / 1000:.1f} km from the nearest "
+            "photo; is it right?"
+        )
+    up = _launch_up_m(check, at, notes, keys.launch is not None)
+    launch = LocalFrame(latitude, longitude, own.altitude_m + up)
+    points, centres = (launch.enu(*own.geodetic(given).T) for given in (net.points_m, net.centres_m))
+    moved = replace(net, points_m=points, centres_m=centres)
+    hull = shapely.MultiPoint(centres[:, :2]).convex_hull
+    area = hull if isinstance(hull, Polygon) else hull.buffer(0.3 * check.height_agl_m)
+    frame = LocalFrame(latitude, longitude)
+    terrain = (
+        tie_point_terrain(points)
+        if keys.dem is None
+        else terrain_of(keys.dem, frame, area, check.height_agl_m)
+    )
+    height = round(check.height_agl_m, 1)
+    site = site_of(keys, name, frame, area, check.brown, check.camera_name, height, terrain)
+    return FlownSite(check, site, _planned(replace(check.flown, network=moved), check), tuple(notes))
+
+
+def _launch_up_m(check: FlownCheck, at_m: FloatArray, notes: list[str], given: bool) -> float:
+    """Height of the launch point in the network's frame; ``at_m`` (3,) its place there."""
+    terrain = tie_point_terrain(check.flown.network.points_m)
+    ground = float(terrain.height_m(at_m[:1], at_m[1:2])[0])
+    if check.launch_up_m is None:
+        notes.append("The photos do not say how high above the launch point they are: ground heights count.")
+        return ground
+    if given and abs(ground - check.launch_up_m) > 0.3 * check.height_agl_m:
+        notes.append(
+            f"The ground at the launch point lies {abs(ground - check.launch_up_m):.0f} m "
+            f"{'above' if ground > check.launch_up_m else 'below'} where the flight began: "
+            "heights count from the ground there."
+        )
+        return ground
+    return check.launch_up_m
+
+
+def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
+    """The network as the search takes it, with the block's own noise, tie points and priors."""
+    lens = flown.network.lens
+    # With more photos more parameters are significant: the pass has to serve all of them.
+    free = mask((*BASIC, "k3", "p1", "p2", "b1", "b2"), field=True)
+    known = replace(flown.known, free=free)
+    functionals = dome_functional(flown.network.points_m)[None]
+    gradient = fit_brown(lens)[1][0]
+    same = lens_information(flown.network, flown.known).covariance
+    formal_px = math.sqrt(float(gradient @ same @ gradient))
+    # What thinning and a rolling shutter's unknowns take away; it never adds.
+    lost = max(check.sigma_f_formal_px / formal_px, 1.0)
+    rotation = flown.known.rotation_sigma_rad[np.isfinite(flown.known.rotation_sigma_rad)]
+    position = flown.known.centre_sigma_m[np.isfinite(flown.known.centre_sigma_m)]
+    assumptions = Assumptions(
+        noise_px=flown.noise_px,
+        tie_points_per_photo=flown.tie_points_per_photo,
+        points_per_photo=max(round(flown.points_per_photo), 1),
+        matching=SIMULATED,
+        position_sigma_m=float(np.median(position)) if len(position) else 100.0,
+        attitude_sigma_deg=math.degrees(np.median(rotation)) if len(rotation) else _ATTITUDE_SIGMA_DEG,
+        model_error_factor=MODEL_ERROR_FACTOR * min(lost, _MOST_LOST),
+    )
+    return PlannedNetwork(flown.network, known, functionals, gradient[free], check.height_agl_m, assumptions)

@@ -1,0 +1,286 @@
+"""The extra pass: the network that a check keeps, the search, limits that bind, and when nothing is sold."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+from benchmarks.refly_optimality import check_of, flown_case, outcome
+from calib.errors import FieldcalError, FormatError, InputError
+from calib.findings import Finding, State, Verdict
+from calib.flown_file import NETWORK_FILE, FlownCheck, network_bytes, read_network
+from calib.network_design import lens_information
+from daemon import cli
+from mission.limits import hard_violations
+from mission.plan import Vehicle, stations
+from mission.refly import Refly, refly
+from mission.refly_passes import paper_fan, tilts_for
+from mission.refly_search import PassSearch
+from mission.refly_sheet import render_refly_sheet
+from mission.refly_site import FlownSite, flown_site
+from mission.refly_words import why_no_pass
+from mission.site_file import SiteFile, checked
+from sim.flights import grid, jittered, phantom3
+from sim.network import SimOptions, observe
+
+
+@pytest.fixture(scope="module")
+def case() -> FlownSite:
+    return flown_case(2)
+
+
+@pytest.fixture(scope="module")
+def found(case: FlownSite) -> Refly:
+    return refly(case)
+
+
+def _with(case: FlownSite, **keys: Any) -> FlownSite:
+    return flown_site(case.check, checked(keys, "the test"))
+
+
+def _saying(check: FlownCheck, rule: str, verdict: Verdict = Verdict.REFLY) -> FlownCheck:
+    finding = Finding(rule, State.FLAG, None, None, "", None, "", f"It is the {rule}.")
+    return replace(check, verdict=verdict, findings=(finding,), headline="The headline.")
+
+
+# --- The file --------------------------------------------------------------------------------------
+
+
+def test_a_network_comes_back_as_it_was_written(case: FlownSite, tmp_path: Path) -> None:
+    check = _saying(case.check, "focal-sigma")
+    data = network_bytes(check)
+    assert 2_000 < len(data) < 200_000
+    assert network_bytes(check) == data
+    (tmp_path / NETWORK_FILE).write_bytes(data)
+    again = read_network(tmp_path / NETWORK_FILE)
+    assert again.findings == check.findings
+    assert (again.verdict, again.photos, again.origin_wgs84) == (
+        check.verdict,
+        check.photos,
+        check.origin_wgs84,
+    )
+    one, two = check.flown.network, again.flown.network
+    assert np.array_equal(one.rotations, two.rotations)
+    assert np.array_equal(one.point, two.point)
+    assert np.abs(one.points_m - two.points_m).max() <= 0.0005
+    assert again.sigma_f_percent == pytest.approx(check.sigma_f_percent)
+
+
+@settings(max_examples=40, deadline=None)
+@given(at=st.floats(0, 1, exclude_max=True), value=st.integers(0, 255), cut=st.booleans())
+def test_a_damaged_network_is_refused_or_whole(
+    tmp_path_factory: pytest.TempPathFactory, at: float, value: int, cut: bool
+) -> None:
+    data = bytearray(_DATA)
+    place = int(at * len(data))
+    if cut:
+        del data[place:]
+    else:
+        data[place] = value
+    path = tmp_path_factory.mktemp("damaged") / NETWORK_FILE
+    path.write_bytes(bytes(data))
+    try:
+        again = read_network(path)
+    except FormatError:
+        return  # Refused in one sentence.
+    assert len(again.photos) == len(again.flown.network.centres_m)
+
+
+def _small_network() -> bytes:
+    plan = jittered(grid(2, 3, 60.0, 80.0), 1, 1.0, 0.5, 1.5)
+    block = observe("nadir", plan, phantom3(), 1, SimOptions(n_points=200, site_m=80.0))
+    return network_bytes(check_of(block, 0.5, 60.0))
+
+
+_DATA = _small_network()
+
+
+def test_what_is_kept_knows_as_much_as_all_of_it() -> None:
+    plan = jittered(grid(4, 6, 60.0, 110.0), 5, 1.0, 0.5, 1.5)
+    block = observe("nadir", plan, phantom3(), 5, SimOptions(n_points=3000, site_m=110.0))
+    check = check_of(block, 0.5, 60.0)
+    kept = check.flown
+    obs = block.observations
+    full = replace(
+        kept.network,
+        points_m=block.points_m,
+        photo=obs.photo,
+        point=obs.point,
+        sigma_px=np.full(len(obs), kept.noise_px),
+    )
+    assert len(kept.network.points_m) < 0.4 * len(block.points_m)
+    assert np.bincount(kept.network.photo).min() >= 8
+    ratio = lens_information(kept.network, kept.known).covariance[0, 0]
+    ratio /= lens_information(full, kept.known).covariance[0, 0]
+    assert 0.85 < np.sqrt(ratio) < 1.15
+
+
+# --- The pass --------------------------------------------------------------------------------------
+
+
+def test_the_pass_cures_inside_every_limit(found: Refly) -> None:
+    assert found.cures
+    assert found.binding_limit is None
+    assert found.found is not None
+    assert found.plan is not None
+    assert hard_violations(found.findings) == ()
+    assert stations(found.plan) == found.found.stations
+    assert 4 <= len(found.found.stations) <= 14
+    assert found.found.worth.sigma_f_percent <= 0.03
+    assert found.found.worth.dome_percent <= 0.05
+    assert all(22.4 <= 90 + s.pitch_deg <= 42.6 for s in found.found.stations)
+    # What the search counts is what the plan takes.
+    assert found.duration_s == pytest.approx(found.found.seconds, rel=0.1)
+
+
+def test_the_pass_is_never_worse_than_an_orbit_or_the_papers_eight_photos(
+    case: FlownSite, found: Refly
+) -> None:
+    search = PassSearch(case.planned, case.site, 30.0)
+    search.fill()
+    orbit = search.regular("orbit", whole=True)
+    fan = paper_fan(search.middle_m, search.ground_m, case.planned.height_agl_m).stations
+    paper = search.found(tuple(i for i in search.candidates.add(fan) if i is not None))
+    assert found.found is not None
+    assert orbit is not None
+    for other in (orbit, paper):
+        if other.good:
+            assert found.found.seconds <= other.seconds + 0.5
+    assert orbit.good or paper.good
+
+
+def test_any_one_photo_may_be_missing(case: FlownSite, found: Refly) -> None:
+    assert found.found is not None
+    search = PassSearch(case.planned, case.site, 30.0)
+    photos = [i for i in search.candidates.add(found.found.stations) if i is not None]
+    worst = max(
+        search.criterion.ratio(
+            (search.found(tuple(p for p in photos if p != one)).worth.sigma_f_percent, 0.0)
+        )
+        for one in photos
+    )
+    assert 0.2 < worst <= 1.02
+
+
+@pytest.mark.parametrize("seed", [3, 11, 17])
+def test_the_search_is_within_a_tenth_of_the_best_subset(seed: int) -> None:
+    one = outcome(seed)
+    if one.least_s is None:
+        assert not one.good
+    else:
+        assert one.good
+        assert 0.999 <= one.chosen_s / one.least_s <= 1.1
+
+
+def test_the_sheet_has_everything(found: Refly) -> None:
+    text = render_refly_sheet(found)
+    assert "FLY THIS" in text
+    assert text.count("<figure>") == 2
+    assert found.found is not None
+    for station in found.found.stations:
+        assert f"{station.yaw_deg % 360:.0f}°" in text
+
+
+# --- Limits that bind ------------------------------------------------------------------------------
+
+
+def test_a_camera_fixed_straight_down_cannot_be_cured_in_the_air(case: FlownSite) -> None:
+    fixed = refly(_with(case, vehicle={"gimbal_lowest_deg": -90, "gimbal_highest_deg": -89}))
+    assert not fixed.cures
+    assert "gimbal binds" in str(fixed.binding_limit)
+    assert fixed.found is not None
+    assert all(s.pitch_deg == -90 for s in fixed.found.stations)
+    assert "wall" in fixed.alternatives[0].text
+    assert fixed.found.worth.sigma_f_percent < case.check.sigma_f_percent * 1.5
+
+
+def test_a_nearly_empty_battery_binds(case: FlownSite) -> None:
+    short = refly(_with(case, vehicle={"endurance_s": 60.0}))
+    assert not short.cures
+    assert "battery binds" in str(short.binding_limit)
+    assert short.duration_s <= 0.75 * 60
+
+
+def test_under_a_low_ceiling_the_pass_stays_below_it(case: FlownSite) -> None:
+    ceiling = round(0.7 * case.check.height_agl_m)
+    low = refly(_with(case, ceiling_m=ceiling))
+    assert low.found is not None
+    assert max(s.height_m for s in low.found.stations) <= ceiling
+    assert low.cures == (low.binding_limit is None)
+
+
+def test_a_short_gimbal_gives_its_end() -> None:
+    assert tilts_for(Vehicle()) == (25.0, 32.0, 40.0)
+    assert tilts_for(Vehicle(gimbal_highest_deg=-60.0)) == (25.0, 30.0)
+    assert tilts_for(Vehicle(gimbal_highest_deg=-75.0)) == ()
+
+
+# --- When flying does not help ---------------------------------------------------------------------
+
+
+def test_nothing_is_sold_for_a_trusted_calibration(case: FlownSite) -> None:
+    check = replace(case.check, verdict=Verdict.TRUST, headline="It can be trusted.")
+    assert str(why_no_pass(check, strong=True)).startswith("Nothing needs to be flown.")
+    nothing = refly(replace(case, check=check))
+    assert (nothing.plan, nothing.found, nothing.helps) == (None, None, False)
+
+
+@pytest.mark.parametrize(
+    ("rule", "words"),
+    [
+        ("focal-drift", "zoom"),
+        ("equifinal-deviation", "reference"),
+        ("model-sensitivity", "blurred"),
+        ("cross-validation", "water"),
+        ("coverage", "overlap"),
+    ],
+)
+def test_a_strong_network_gets_a_reason_and_no_pass(case: FlownSite, rule: str, words: str) -> None:
+    why = why_no_pass(_saying(case.check, rule), strong=True)
+    assert why is not None
+    assert words in why
+    assert f"It is the {rule}." in why
+    assert why_no_pass(_saying(case.check, rule), strong=False) is None
+
+
+def test_a_broken_block_comes_first(case: FlownSite) -> None:
+    assert "in order" in str(why_no_pass(_saying(case.check, "alignment"), strong=False))
+
+
+# --- The command -----------------------------------------------------------------------------------
+
+
+def test_the_command_refuses_what_is_no_check(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: Any
+) -> None:
+    monkeypatch.setenv("FIELDCAL_SESSIONS", str(tmp_path / "sessions"))
+    assert cli.run(["refly", str(tmp_path)]) == 2
+    assert "run fieldcal check" in capsys.readouterr().err
+    assert cli.run(["refly", str(tmp_path / "nothing")]) == 2
+    (tmp_path / NETWORK_FILE).write_bytes(b"PK\x03\x04 no network")
+    assert cli.run(["refly", str(tmp_path)]) == 2
+    assert "damaged" in capsys.readouterr().err
+    assert cli.run(["refly", str(tmp_path), "--out", "pass.doc"]) == 2
+
+
+def test_without_places_the_reason_is_given(case: FlownSite, tmp_path: Path) -> None:
+    lost = replace(case.check, origin_wgs84=None, geotag_fault="The geotags are wrong.")
+    (tmp_path / NETWORK_FILE).write_bytes(network_bytes(lost))
+    assert cli.run(["refly", str(tmp_path), "--json", str(tmp_path / "x.json")]) == 4
+    told = json.loads((tmp_path / "x.json").read_text())
+    assert (told["photos"], told["cures"]) == (0, False)
+    assert "The geotags are wrong." in told["reason"]
+    with pytest.raises(InputError, match="by hand"):
+        flown_site(lost, SiteFile())
+
+
+def test_a_far_launch_point_is_questioned(case: FlownSite) -> None:
+    with pytest.raises(FieldcalError, match="is it right"):
+        _with(case, launch=[51.5, -0.1])
