@@ -64,13 +64,13 @@ def upload(
     from daemon.link.address import parse
     from daemon.link.live import Link
     from daemon.link.tlog import LogWriter
-    from daemon.link.upload import Outcome, flavour_of
+    from daemon.link.upload import Outcome, cut_off, flavour_of
     from daemon.mission_file import load
 
     address = parse(to)
     if not mission.exists():
         raise InputError(f"There is no file {mission}.")
-    out = console()
+    out, keep_in = console(), backup or backup_folder()
     hidden = sys.stderr is None or not sys.stderr.isatty()
     with ExitStack() as stack:
         log = None if record is None else stack.enter_context(LogWriter(record))
@@ -79,8 +79,12 @@ def upload(
             link.wait_for_vehicle(wait)
             link.wait(lambda: _place(link) is not None, 3.0)
         loaded = load(mission, flavour_of(link.state), not no_fence)
+        earlier = cut_off(keep_in)
+        if earlier is not None and earlier != mission.absolute():
+            out.print("An upload before this one was cut off. What the vehicle held before it is kept in")
+            out.print(path_text(earlier), soft_wrap=True)
         _show(out, link, loaded, force)
-        result = _transact(link, loaded, yes, holding, backup or backup_folder(), hidden)
+        result = _transact(link, loaded, yes, holding, keep_in, hidden)
     if result.outcome is not Outcome.UPLOADED:
         for difference in result.differences[:5]:
             out.print(f"  {difference}")

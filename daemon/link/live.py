@@ -14,7 +14,7 @@ import select
 import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from types import TracebackType
 from typing import Self
 
@@ -56,6 +56,12 @@ class LinkHealth:
     worst_late_s: float = 0.0
     unread: int = 0
     log_fault: str | None = None
+
+
+@dataclass(frozen=True)
+class _Job:
+    exchange: Exchange
+    done: threading.Event = field(default_factory=threading.Event)
 
 
 def steady_clock() -> Callable[[], float]:
@@ -100,10 +106,9 @@ class Link:
         self._health = LinkHealth()
         self._streams = Streams()
         self._events: queue.Queue[Heard | None] = queue.Queue(MOST_EVENTS)
-        self._exchange: Exchange | None = None
-        self._exchange_over = threading.Event()
-        self._exchange_lock = threading.Lock()
-        self._asked: queue.SimpleQueue[Exchange] = queue.SimpleQueue()
+        self._job: _Job | None = None
+        self._one_at_a_time = threading.Lock()
+        self._asked: queue.SimpleQueue[_Job] = queue.SimpleQueue()
         self._stop = threading.Event()
         self._wake_read, self._wake_write = os.pipe()
         self._line: Transport | None = None
@@ -181,18 +186,22 @@ class Link:
         """Carry out an exchange with the vehicle; returns when it is over. One at a time: others wait.
 
         ``look`` is called now and then meanwhile. Interrupted, the exchange ends where it is.
+
+        Raises:
+            NoVehicleError: the link is closed.
         """
-        with self._exchange_lock:
-            self._exchange_over.clear()
-            self._asked.put(exchange)
+        with self._one_at_a_time:
+            if self._stop.is_set():
+                raise NoVehicleError("The link is closed.")
+            job = _Job(exchange)
+            self._asked.put(job)
             self._wake()
             try:
-                while not self._exchange_over.wait(LOOK_S) and self._thread.is_alive():
+                while not job.done.wait(LOOK_S) and self._thread.is_alive():
                     if look is not None:
                         look()
             except BaseException:
                 exchange.over = True
-                self._exchange_over.wait(1.0)
                 raise
 
     def close(self) -> None:
@@ -233,7 +242,8 @@ class Link:
         for one in (self._line, self._forward):
             if one is not None:
                 one.close()
-        self._exchange_over.set()
+        if self._job is not None:
+            self._job.done.set()
         self._put(None)
 
     def _step(self) -> None:
@@ -271,14 +281,10 @@ class Link:
                 line.answer(origin)
             if self._forward is not None:
                 self._forward.send(frame.raw)
-            exchange = self._exchange
-            if (
-                exchange is not None
-                and frame.message is not None
-                and frame.system_id == self._state.system_id
-            ):
-                self._say(*exchange.receive(frame.message, self._clock()))
-                self._look_if_over()
+            job, message = self._job, frame.message
+            if job is not None and message is not None and frame.system_id == self._state.system_id:
+                self._say(*job.exchange.receive(message, self._clock()))
+                self._look_if_over(job)
 
     def _splitter(self, origin: Origin) -> wire.Splitter:
         if origin not in self._splitters and len(self._splitters) >= _MOST_ORIGINS:
@@ -335,18 +341,18 @@ class Link:
             self._streams, stream = self._streams.next(state.autopilot, state.counts, state.boots, now)
             if stream is not None:
                 self._say(wire.ask_stream(vehicle, *stream))
-        if self._exchange is None and not self._asked.empty():
-            self._exchange = self._asked.get()
-            if not self._exchange.over:
-                self._say(*self._exchange.start(now))
-        if self._exchange is not None:
-            self._say(*self._exchange.tick(now))
-            self._look_if_over()
+        if self._job is None and not self._asked.empty():
+            self._job = self._asked.get()
+            if not self._job.exchange.over:
+                self._say(*self._job.exchange.start(now))
+        if self._job is not None:
+            self._say(*self._job.exchange.tick(now))
+            self._look_if_over(self._job)
 
-    def _look_if_over(self) -> None:
-        if self._exchange is not None and self._exchange.over:
-            self._exchange = None
-            self._exchange_over.set()
+    def _look_if_over(self, job: _Job) -> None:
+        if job.exchange.over:
+            self._job = None
+            job.done.set()
 
     def _cut(self, error: Exception) -> None:
         """The line is lost: said once, opened again after a while."""

@@ -14,9 +14,10 @@ from enum import StrEnum
 from pathlib import Path
 
 from calib.errors import InputError
+from calib.files import output_errors, write_text_atomic
 from daemon.link.events import Autopilot, Heartbeat
 from daemon.link.live import Link
-from daemon.link.state import LinkState
+from daemon.link.state import SILENT_S, LinkState
 from daemon.link.transfer import REASONS, Clear, Download, Exchange, Kind, Patience, Upload
 from daemon.link.vehicle_mission import Held, mission_differences, write_held
 from mission.encode import Flavour, Item
@@ -26,6 +27,8 @@ from mission.encode.fence_items import compare_fence
 Progress = Callable[[str, int, int], None]
 _FLAVOURS: dict[Autopilot, Flavour] = {Autopilot.ARDUPILOT: "ardupilot", Autopilot.PX4: "px4"}
 _READ_TIMES = 3
+#: Beside the kept missions while one is changed: names the file, for whoever comes after a kill.
+UNDER_WAY = "upload-under-way.txt"
 
 
 class NotAllowedError(InputError):
@@ -128,22 +131,23 @@ def upload(
     task.check()  # The operator may have taken time.
     before = task.read_before()
     kept = write_held(before, keep_in)
-    task.check()
+    task.check_now()
+    marker = keep_in / UNDER_WAY
+    write_text_atomic(marker, f"{kept.name}\n")
+    result = task.change(before, kept)
+    if result.outcome is not Outcome.UNSURE:
+        with output_errors(marker):
+            marker.unlink(missing_ok=True)
+    return result
+
+
+def cut_off(keep_in: Path) -> Path | None:
+    """The vehicle's mission from before an upload that was killed, or ended unsure; None: there is none."""
     try:
-        problem = task.write()
-    except BaseException:
-        # Interrupted: what was begun is undone before anything else.
-        task.restore(before)
-        raise
-    if problem is None:
-        what = f"{mission.count} items" + (" and the fence" if mission.fence is not None else "")
-        return Result(
-            Outcome.UPLOADED, f"The vehicle holds the mission: {what}, read back and compared.", kept
-        )
-    result = task.restore(before)
-    return replace(
-        result, message=f"{problem.sentence} {result.message}", kept=kept, differences=problem.details
-    )
+        kept = keep_in / (keep_in / UNDER_WAY).read_text(encoding="utf-8").strip()
+    except (OSError, UnicodeDecodeError):
+        return None
+    return kept if kept.is_file() else None
 
 
 def read_held(link: Link, terms: Terms | None = None, progress: Progress = _quiet) -> Held:
@@ -186,6 +190,28 @@ class _Transaction:
         reason = why_not(self.link.state, self.link.now_s(), self.terms.holding)
         if reason is not None:
             raise NotAllowedError(f"{reason} Nothing was uploaded.")
+
+    def check_now(self) -> None:
+        """As :meth:`check`, of a heartbeat that comes from now on."""
+        before = self.link.state.quality.heartbeat_s
+        self.link.wait(lambda: self.link.state.quality.heartbeat_s != before, SILENT_S)
+        self.check()
+
+    def change(self, before: Held, kept: Path) -> Result:
+        """The new mission, or the old one again."""
+        try:
+            problem = self.write()
+        except BaseException:
+            # Interrupted: what was begun is undone before anything else.
+            self.restore(before)
+            raise
+        if problem is None:
+            what = f"{self.mission.count} items" + ("" if self.mission.fence is None else " and the fence")
+            text = f"The vehicle holds the mission: {what}, read back and compared."
+            return Result(Outcome.UPLOADED, text, kept)
+        result = self.restore(before)
+        text = f"{problem.sentence} {result.message}"
+        return replace(result, message=text, kept=kept, differences=problem.details)
 
     def read_before(self) -> Held:
         mission = self._read(Kind.MISSION, "reading the old mission")
