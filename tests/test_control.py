@@ -9,7 +9,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from calib.camera import BROWN_NAMES
+from calib.camera import BROWN_NAMES, FloatArray
 from calib.control import ControlCalibration, calibrate_control, coverage_hint, free_parameters, prepare
 from calib.control_adjust import MarkSet
 from calib.control_files import ControlPoint, Mark, read_marks, read_points
@@ -25,6 +25,11 @@ def flown(name: str, seed: int) -> Orbit:
     return fly(name, seed)
 
 
+def _far(xyz: FloatArray) -> tuple[float, float, float]:
+    x, y, z = np.add(xyz, [4e5, 5.6e6, 100.0]).tolist()
+    return x, y, z
+
+
 def given(orbit: Orbit) -> tuple[tuple[Photo, ...], tuple[ControlPoint, ...], tuple[Mark, ...]]:
     """What a user would have: photos, points and marks by name, coordinates far from the origin."""
     camera = orbit.camera
@@ -33,7 +38,7 @@ def given(orbit: Orbit) -> tuple[tuple[Photo, ...], tuple[ControlPoint, ...], tu
     points = tuple(
         ControlPoint(
             f"T{i:03d}",
-            tuple(float(v) for v in xyz + np.array([4e5, 5.6e6, 100.0])),
+            _far(xyz),
             (TARGET_M,) * 3,
             not control,
         )
