@@ -143,7 +143,13 @@ def prepare(
     control = np.array([not point.check for point in chosen])
     _require_shape(xyz[control])
     camera = by_name[files[0]].camera
-    outside = [m for m in usable if not (0 <= m.u_px <= camera.width and 0 <= m.v_px <= camera.height)]
+    # A mark at the very edge may lie a little outside.
+    room = 0.01 * max(camera.width, camera.height)
+    outside = [
+        m
+        for m in usable
+        if not (-room <= m.u_px <= camera.width + room and -room <= m.v_px <= camera.height + room)
+    ]
     if outside:
         raise InputError(
             f"Point {outside[0].point} is marked outside of {outside[0].photo} ({camera.width} x "
@@ -264,10 +270,8 @@ def _rms(fit: Fit, marks: MarkSet, used: BoolArray, check: bool) -> float:
 
 
 def _spread(fit: Fit, used: BoolArray) -> float:
-    """Robust noise per coordinate, px: residuals are smaller than the noise they come from."""
-    shares = np.nan_to_num(fit.redundancy[used], nan=1.0)
-    residual = fit.residuals_px[used] / np.sqrt(shares)[:, None]
-    return max(1.4826 * float(np.median(np.abs(residual))), 0.02)
+    """Robust noise per coordinate, px, from the median of the standardised lengths (Rayleigh)."""
+    return max(float(np.median(fit.standardised()[used])) / 1.1774, 0.02)
 
 
 def _small(marks: MarkSet, fit: Fit, used: BoolArray) -> BoolArray:
@@ -281,17 +285,16 @@ def _without_blunders(
     marks: MarkSet, fit: Fit, used: BoolArray, candidates: BoolArray, free: tuple[str, ...]
 ) -> tuple[Fit, BoolArray]:
     """Marks that came out good join, the worst one goes, and again, until all are within chance."""
+    # The largest of n lengths of two coordinates (Rayleigh) exceeds this once in a hundred sets.
+    limit = float(np.sqrt(2 * np.log(max(int(candidates.sum()), 2) / BLUNDER_P)))
     for _ in range(len(marks)):
-        spread = _spread(fit, used)
-        size = np.linalg.norm(fit.residuals_px, axis=1)
-        # The largest of n lengths of two coordinates (Rayleigh) exceeds this once in a hundred sets.
-        limit = float(np.sqrt(2 * np.log(max(int(candidates.sum()), 2) / BLUNDER_P)))
-        joined = used | (candidates & (size < 1.2 * limit * spread))
+        standard = fit.standardised() / _spread(fit, used)
+        joined = used | (candidates & (standard < limit))
         if (joined != used).any():
             used = joined
             fit = adjust(marks, fit.block, free, used)
-            spread, size = _spread(fit, used), np.linalg.norm(fit.residuals_px, axis=1)
-        standard = np.where(used, size / (spread * np.sqrt(np.nan_to_num(fit.redundancy, nan=1.0))), 0.0)
+            standard = fit.standardised() / _spread(fit, used)
+        standard = np.where(used, standard, 0.0)
         worst = int(standard.argmax())
         if standard[worst] < limit:
             break
