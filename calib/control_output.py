@@ -16,10 +16,12 @@ from calib.control import ControlCalibration, coverage_hint
 from calib.field import LENS_NAMES
 from calib.figures import correlation_figure
 from calib.figures.control import control_profiles_figure, marks_figure
-from calib.html_page import CROSS, TICK, drawn_sign, html_page, sentence
+from calib.findings import State
+from calib.html_page import drawn_sign, html_page, sentence
 from calib.onsite import calibration_date
 from calib.propagation import BROWN_KEYS, correlations
 from calib.reference import Reference
+from calib.report import SIGNS
 from calib.report_figures import figures_html
 from calib.report_json import CameraModel, JsonModel, camera_model
 from calib.wording import PARAMETERS, camera_name, html_text, printable, quantity
@@ -150,7 +152,7 @@ def render_control(made: ControlCalibration, saved_as: str | None = None) -> str
     fine = not made.blunders
     look = "trust" if fine else "cannot_tell"
     head = (
-        f'<header class="verdict {look}"><h1>{drawn_sign(TICK if fine else CROSS)}'
+        f'<header class="verdict {look}"><h1>{drawn_sign(SIGNS[State.PASS if fine else State.UNKNOWN])}'
         f"<span>CALIBRATED</span></h1><p>"
         + sentence(
             f"The focal length is {made.camera.f_px:.2f} px, known to {sigma:.3f} % (1 sigma)"
