@@ -29,8 +29,8 @@ POINT_SIGMA_M = 0.005
 LEAST_POINTS, LEAST_PHOTOS, LEAST_MARKS = 6, 3, 5
 #: Probability that any of the good marks of a set is called a blunder (standardised residuals, Baarda 1968).
 BLUNDER_P = 0.01
-#: Fewer of the marks than this agreeing with the first poses: something is wrong with all of them.
-AGREE_SHARE = 0.6
+#: Fewer of the marks than this agreeing with each other: something is wrong with all of them.
+AGREE_SHARE = 0.8
 #: A point is at fault, not its marks, where more than this share of them is off.
 POINT_SHARE = 0.6
 
@@ -143,7 +143,13 @@ def prepare(
     control = np.array([not point.check for point in chosen])
     _require_shape(xyz[control])
     camera = by_name[files[0]].camera
-    outside = [m for m in usable if not (0 <= m.u_px <= camera.width and 0 <= m.v_px <= camera.height)]
+    # A mark at the very edge may lie a little outside.
+    room = 0.01 * max(camera.width, camera.height)
+    outside = [
+        m
+        for m in usable
+        if not (-room <= m.u_px <= camera.width + room and -room <= m.v_px <= camera.height + room)
+    ]
     if outside:
         raise InputError(
             f"Point {outside[0].point} is marked outside of {outside[0].photo} ({camera.width} x "
@@ -198,12 +204,13 @@ def calibrate_control(
             "order of the coordinates (x east, y north, z up) and the focal length (--focal-px)."
         ) from error
     on_control = marks.control[marks.point]
-    _require_agreement(marks, start, used, on_control)
     # Blunders are sought under the radial model: before, the corners miss for want of it.
     radial = STEPS[1][1]
     fit = adjust(marks, block, radial, used)
     fit, used = _without_blunders(marks, fit, used, on_control, radial)
-    steps, free = [], ()
+    _require_agreement(marks, start, used, on_control)
+    steps: list[Step] = []
+    free: tuple[str, ...] = ()
     fit = adjust(marks, replace(fit.block, camera=start), (), used)
     steps.append(_step("poses", (), fit, marks, used, None, True))
     for name, parameters in STEPS[1:]:
@@ -231,7 +238,7 @@ def _require_agreement(marks: MarkSet, start: BrownCamera, used: BoolArray, on_c
         other = float(np.mean(resected(mirrored, start)[1][on_control]))
     except AlignmentError:
         other = 0.0
-    if other > share + 0.2:
+    if other > max(0.9, share):
         raise InputError(
             "The points fit the photos only with x and y swapped: give them as x east, y north, z up."
         )
@@ -263,9 +270,8 @@ def _rms(fit: Fit, marks: MarkSet, used: BoolArray, check: bool) -> float:
 
 
 def _spread(fit: Fit, used: BoolArray) -> float:
-    """Robust noise per coordinate, px: residuals are smaller than the noise they come from."""
-    residual = fit.residuals_px[used] / np.sqrt(fit.redundancy[used])[:, None]
-    return max(1.4826 * float(np.median(np.abs(residual))), 0.02)
+    """Robust noise per coordinate, px, from the median of the standardised lengths (Rayleigh)."""
+    return max(float(np.median(fit.standardised()[used])) / 1.1774, 0.02)
 
 
 def _small(marks: MarkSet, fit: Fit, used: BoolArray) -> BoolArray:
@@ -279,18 +285,18 @@ def _without_blunders(
     marks: MarkSet, fit: Fit, used: BoolArray, candidates: BoolArray, free: tuple[str, ...]
 ) -> tuple[Fit, BoolArray]:
     """Marks that came out good join, the worst one goes, and again, until all are within chance."""
+    # The largest of n lengths of two coordinates (Rayleigh) exceeds this once in a hundred sets.
+    limit = float(np.sqrt(2 * np.log(max(int(candidates.sum()), 2) / BLUNDER_P)))
     for _ in range(len(marks)):
-        spread = _spread(fit, used)
-        size = np.linalg.norm(fit.residuals_px, axis=1)
-        joined = used | (candidates & (size < 3 * spread))
+        standard = fit.standardised() / _spread(fit, used)
+        joined = used | (candidates & (standard < limit))
         if (joined != used).any():
             used = joined
             fit = adjust(marks, fit.block, free, used)
-            spread, size = _spread(fit, used), np.linalg.norm(fit.residuals_px, axis=1)
-        standard = np.where(used, size / (spread * np.sqrt(np.nan_to_num(fit.redundancy, nan=1.0))), 0.0)
+            standard = fit.standardised() / _spread(fit, used)
+        standard = np.where(used, standard, 0.0)
         worst = int(standard.argmax())
-        # The largest of n lengths of two coordinates (Rayleigh) exceeds this once in a hundred sets.
-        if standard[worst] < np.sqrt(2 * np.log(max(int(used.sum()), 2) / BLUNDER_P)):
+        if standard[worst] < limit:
             break
         used = used.copy()
         used[worst] = False

@@ -60,16 +60,25 @@ class Block:
 class Fit:
     """A solved block. ``covariance`` (11, 11) over ``BROWN_NAMES``, scaled by sigma0; held ones are zero.
 
-    ``residuals_px`` (n, 2) of all marks, measured minus computed; ``redundancy`` (n,): share of each used
-    mark's error that shows in its own residual (NaN for the others). ``chi2``: weighted square sum.
+    ``residuals_px`` (n, 2) of all marks, measured minus computed; ``cofactors`` (n, 2, 2): their covariance
+    in units of the marks' own (less than 1 for marks that took part, more for others). ``chi2``: weighted
+    square sum.
     """
 
     block: Block
     covariance: FloatArray
     residuals_px: FloatArray
-    redundancy: FloatArray
+    cofactors: FloatArray
     chi2: float
     freedom: int
+
+    def standardised(self) -> FloatArray:
+        """Length (n,) of each mark's residual in sigmas of one px of noise: Rayleigh's where it is good."""
+        # A mark that alone fixes something has no residual to tell.
+        size, vectors = np.linalg.eigh(self.cofactors)
+        along = np.einsum("nij,ni->nj", vectors, self.residuals_px)
+        length: FloatArray = np.sqrt(np.sum(along**2 / np.maximum(size, 0.02), axis=1))
+        return length
 
     @property
     def sigma0(self) -> float:
@@ -165,10 +174,12 @@ def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray)
     covariance = np.zeros((len(BROWN_NAMES), len(BROWN_NAMES)))
     lens = slice(6 * k, 6 * k + p)
     covariance[np.ix_(columns, columns)] = inverse[lens, lens] * cost / freedom
-    hat = np.einsum("ij,jk,ik->i", design, inverse, design, optimize=True)[: 2 * int(used.sum())]
-    redundancy = np.full(len(marks), np.nan)
-    redundancy[used] = np.clip(1 - hat.reshape(-1, 2).mean(axis=1), 1e-3, 1.0)
-    return Fit(block, covariance, residuals_px(marks, block), redundancy, cost, freedom)
+    every = np.ones(len(marks), bool)
+    rows_of = _linearised(marks, block, columns, loose, every)[1][: 2 * len(marks)].reshape(len(marks), 2, -1)
+    carried = (rows_of.reshape(2 * len(marks), -1) @ inverse).reshape(rows_of.shape)
+    hat = carried @ rows_of.transpose(0, 2, 1)
+    cofactors = np.eye(2) + np.where(used, -1.0, 1.0)[:, None, None] * hat
+    return Fit(block, covariance, residuals_px(marks, block), cofactors, cost, freedom)
 
 
 def _moved(block: Block, step: FloatArray, columns: BoolArray, loose: IntArray) -> Block:

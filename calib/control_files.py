@@ -12,7 +12,8 @@ import math
 from dataclasses import dataclass
 from pathlib import Path, PurePosixPath, PureWindowsPath
 
-from defusedxml import DefusedXmlException, ElementTree
+from defusedxml.common import DefusedXmlException  # type: ignore[import-untyped]
+from defusedxml.ElementTree import ParseError, fromstring  # type: ignore[import-untyped]
 
 from calib.errors import FormatError
 
@@ -115,10 +116,10 @@ def read_marks(path: Path) -> Marks:
 def _metashape(path: Path, text: str) -> Marks:
     """Markers as Metashape exports them (File, Export, Export Markers)."""
     try:
-        root = ElementTree.fromstring(text, forbid_dtd=True)
+        root = fromstring(text, forbid_dtd=True)
     except DefusedXmlException as error:
         raise FormatError(f"{path} contains a document type or entities and is not read.") from error
-    except ElementTree.ParseError as error:
+    except ParseError as error:
         raise FormatError(f"{path} is not valid XML: {error}.") from error
     chunk = root if root.tag == "chunk" else root.find("chunk")
     if chunk is None or chunk.find("markers") is None:
@@ -153,7 +154,8 @@ def _metashape(path: Path, text: str) -> Marks:
 
 def _odm(path: Path, text: str) -> Marks:
     """x y z column row photo [name], with the coordinate system in the first line."""
-    marks, places = [], {}
+    marks: list[Mark] = []
+    places: dict[str, tuple[float, float, float]] = {}
     lines = [(n, line.split("#")[0].split()) for n, line in enumerate(text.splitlines(), 1)]
     body = [(n, fields) for n, fields in lines if fields][1:]
     for number, fields in body:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Sequence
 from importlib import metadata
 from typing import Any, Literal
 
@@ -15,10 +16,12 @@ from calib.control import ControlCalibration, coverage_hint
 from calib.field import LENS_NAMES
 from calib.figures import correlation_figure
 from calib.figures.control import control_profiles_figure, marks_figure
-from calib.html_page import CROSS, TICK, drawn_sign, html_page, sentence
+from calib.findings import State
+from calib.html_page import drawn_sign, html_page, sentence
 from calib.onsite import calibration_date
 from calib.propagation import BROWN_KEYS, correlations
 from calib.reference import Reference
+from calib.report import SIGNS
 from calib.report_figures import figures_html
 from calib.report_json import CameraModel, JsonModel, camera_model
 from calib.wording import PARAMETERS, camera_name, html_text, printable, quantity
@@ -136,7 +139,8 @@ def summary(made: ControlCalibration) -> str:
     control = int(made.marks.control.sum())
     text = (
         f"{len(made.photos)} photos, {control} control and {len(made.points) - control} check points, "
-        f"{int(made.used.sum())} marks, sigma0 {made.fit.sigma0:.2f}, rms {made.rms_px(False):.2f} px on control"
+        f"{int(made.used.sum())} marks, sigma0 {made.fit.sigma0:.2f}, rms "
+        f"{made.rms_px(False):.2f} px on control"
     )
     check = made.rms_px(True)
     return text + (f" and {check:.2f} px on check points" if math.isfinite(check) else "")
@@ -146,8 +150,9 @@ def render_control(made: ControlCalibration, saved_as: str | None = None) -> str
     """The report as HTML text, in the look of the check's."""
     sigma = 100 * float(np.sqrt(made.fit.covariance[0, 0])) / made.camera.f_px
     fine = not made.blunders
+    look = "trust" if fine else "cannot_tell"
     head = (
-        f'<header class="verdict {"trust" if fine else "cannot_tell"}"><h1>{drawn_sign(TICK if fine else CROSS)}'
+        f'<header class="verdict {look}"><h1>{drawn_sign(SIGNS[State.PASS if fine else State.UNKNOWN])}'
         f"<span>CALIBRATED</span></h1><p>"
         + sentence(
             f"The focal length is {made.camera.f_px:.2f} px, known to {sigma:.3f} % (1 sigma)"
@@ -172,7 +177,7 @@ def _blunders(made: ControlCalibration) -> str:
     return f'<section class="fly"><h2>What to look at</h2><ul class="names">{items}</ul></section>'
 
 
-def _table(title: str, caption: str, heads: tuple[str, ...], rows: list[tuple[str, ...]]) -> str:
+def _table(title: str, caption: str, heads: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
     head = "".join(f'<th scope="col">{html_text(text)}</th>' for text in heads)
     body = "".join(
         f'<tr><th scope="row">{html_text(row[0])}</th>'

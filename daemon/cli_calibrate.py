@@ -204,11 +204,11 @@ def control(
     ] = MARK_SIGMA_PX,
     point_sigma_m: Annotated[
         float,
-        typer.Option(min=0, max=10, help="Precision of a point where the file states none; 0 holds it."),
+        typer.Option(min=0, max=10, help="Precision of a point where none is stated; 0 holds it."),
     ] = POINT_SIGMA_M,
     check_every: Annotated[
         int,
-        typer.Option(min=0, max=50, help="Every so many points is a check point, where none is marked so."),
+        typer.Option(min=0, max=50, help="Make every so many points a check point, where none is."),
     ] = 0,
     name: NameOption = None,
     out: OutOption = DEFAULT_OUT,

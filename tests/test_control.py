@@ -8,13 +8,16 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from PIL import Image
 
-from calib.camera import BROWN_NAMES
+from calib.camera import BROWN_NAMES, FloatArray
 from calib.control import ControlCalibration, calibrate_control, coverage_hint, free_parameters, prepare
 from calib.control_adjust import MarkSet
 from calib.control_files import ControlPoint, Mark, read_marks, read_points
+from calib.control_output import ControlReport
 from calib.errors import FormatError, InputError
 from calib.photos.photo import CameraIdentity, Photo
+from daemon import cli
 from sim.papers.orbit import TARGET_M, Orbit, fly, solve
 
 ALL = ("f", "k1", "k2", "k3", "cx", "cy", "p1", "p2", "b1", "b2")
@@ -25,6 +28,11 @@ def flown(name: str, seed: int) -> Orbit:
     return fly(name, seed)
 
 
+def _far(xyz: FloatArray) -> tuple[float, float, float]:
+    x, y, z = np.add(xyz, [4e5, 5.6e6, 100.0]).tolist()
+    return x, y, z
+
+
 def given(orbit: Orbit) -> tuple[tuple[Photo, ...], tuple[ControlPoint, ...], tuple[Mark, ...]]:
     """What a user would have: photos, points and marks by name, coordinates far from the origin."""
     camera = orbit.camera
@@ -33,7 +41,7 @@ def given(orbit: Orbit) -> tuple[tuple[Photo, ...], tuple[ControlPoint, ...], tu
     points = tuple(
         ControlPoint(
             f"T{i:03d}",
-            tuple(float(v) for v in xyz + np.array([4e5, 5.6e6, 100.0])),
+            _far(xyz),
             (TARGET_M,) * 3,
             not control,
         )
@@ -256,3 +264,34 @@ def test_bad_sets() -> None:
     assert len(kept) > 2
     with pytest.raises(InputError, match="x and y swapped"):
         calibrate_control(used, kept, chosen, orbit.camera.f_px)
+
+
+def test_from_the_command_line(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    monkeypatch.setenv("FIELDCAL_STORE", str(tmp_path / "store"))
+    orbit = flown("thermal add6", 0)
+    photos, points, marks = given(orbit)
+    folder = tmp_path / "photos"
+    folder.mkdir()
+    # Every file another grey, or they would be copies of each other.
+    for i, photo in enumerate(photos):
+        Image.new("L", (orbit.camera.width, orbit.camera.height), i).save(folder / photo.path.name)
+    rows = [f"{p.name},{','.join(map(str, p.xyz_m))},{'check' if p.check else 'control'}" for p in points]
+    (tmp_path / "points.csv").write_text("\n".join(["name,x,y,z,role", *rows]))
+    rows = [f"{m.photo},{m.point},{m.u_px},{m.v_px}" for m in marks]
+    (tmp_path / "marks.csv").write_text("\n".join(["photo,point,u,v", *rows]))
+    files = ["--points", str(tmp_path / "points.csv"), "--marks", str(tmp_path / "marks.csv")]
+    words = ["calibrate", "control", str(folder), *files, "--out", str(tmp_path / "out"), "--name", "wiris"]
+    assert cli.run(words) == 2
+    assert "--focal-px" in capsys.readouterr().err
+    code = cli.run([*words, "--focal-px", "760", "--json", "-"])
+    report = ControlReport.model_validate_json(capsys.readouterr().out)
+    sigma = report.sigma["f_px"]
+    assert abs(report.parameters["f_px"] - orbit.camera.f_px) < 3.5 * sigma
+    assert code == (0 if sigma <= 0.0005 * report.parameters["f_px"] else 3)
+    assert (report.saved_as == "wiris") == (code == 0)
+    assert report.check.points > 5
+    page = (tmp_path / "out" / "control.html").read_text(encoding="utf-8")
+    assert "Release in steps" in page
+    assert page.count("data-plot") >= 3

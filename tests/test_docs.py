@@ -40,8 +40,13 @@ COMMANDS = (
     ("perturb",),
     ("plan",),
     ("refly",),
+    ("calibrate",),
+    *(("calibrate", sub) for sub in ("wall", "orbit", "control")),
     ("cameras",),
-    *(("cameras", sub) for sub in ("list", "show", "compare", "import", "export")),
+    *(
+        ("cameras", sub)
+        for sub in ("list", "show", "compare", "import", "export", "history", "average", "verified")
+    ),
     ("sim",),
     *(("sim", sub) for sub in ("list", "survey", "vehicle")),
     ("upload",),
@@ -151,6 +156,7 @@ def test_no_option_is_invented(name: str, options: dict[tuple[str, ...], set[str
         ("docs/sessions.md", [("sessions", "export")]),
         ("docs/run.md", [("run",)]),
         ("docs/live.md", [("status",)]),
+        ("docs/calibrate.md", [("calibrate", "wall"), ("calibrate", "orbit"), ("calibrate", "control")]),
     ],
 )
 def test_no_option_is_left_out(
@@ -167,7 +173,7 @@ def test_shown_commands_use_options_of_their_own(name: str, options: dict[tuple[
         r"^(?:\$ )?fieldcal (.*)$", "\n".join(b for _, b in _FENCE.findall(_text(name))), re.M
     ):
         words = line.split()
-        command = tuple(words[: 2 if words[0] in ("cameras", "sim", "sessions") else 1])
+        command = tuple(words[: 2 if words[0] in ("calibrate", "cameras", "sim", "sessions") else 1])
         assert command in COMMANDS, line
         assert set(_OPTION.findall(line)) <= options[command], line
 

@@ -16,6 +16,7 @@ from scipy.special import chdtrc
 from calib.align.adjust import similarity_tangent
 from calib.align.selfcal import Calibrated
 from calib.camera import FloatArray
+from calib.errors import AlignmentError
 from calib.solution import Estimate
 
 #: The second-order terms: bend along the wall, twist, bend up the wall.
@@ -25,6 +26,8 @@ TERMS = ("x2", "xy", "y2")
 NEAR_PLANE = 0.02
 #: Points beyond so many robust sigmas of the surface are left out (a window's reveal, a pipe, a mismatch).
 OUTLIER_SIGMAS = 4.0
+#: Tie points that a wall needs at least.
+LEAST_POINTS = 60
 #: A wall longer than so many heights shows by itself which way it runs.
 ELONGATED = 1.5
 _TRIALS = 400
@@ -92,6 +95,9 @@ def find_plane(points: FloatArray, cameras: FloatArray, seed: int = 0) -> tuple[
     """The plane that most points (m, 3) lie on, its normal towards the cameras (k, 3), and those points.
 
     ``axes`` of the answer: x and y are any two directions in the plane.
+
+    Raises:
+        AlignmentError: the points span no plane.
     """
     rng = np.random.default_rng(seed)
     best: tuple[int, Plane] | None = None
@@ -107,7 +113,7 @@ def find_plane(points: FloatArray, cameras: FloatArray, seed: int = 0) -> tuple[
         if best is None or count > best[0]:
             best = count, Plane(a, np.array([[0, 0, 0], [0, 0, 0], normal]))
     if best is None:
-        raise ValueError("the points span no plane")
+        raise AlignmentError("The tie points lie on one line, so there is no wall to be measured.")
     plane = best[1]
     near = np.ones(len(points), bool)
     for _ in range(5):
@@ -150,11 +156,16 @@ def measure_flatness(block: Calibrated, estimate: Estimate, seed: int = 0) -> Fl
 
     The covariance has three parts: the block's own (lens, poses and points, inflated by correlated
     residuals), what model spread adds to the lens, and the roughness of the wall itself, waves included.
+
+    Raises:
+        AlignmentError: too few points lie on one plane, or the block is too weak to tell.
     """
     adjusted, adjustment = block.adjusted, block.adjustment
     state = adjusted.state
     points, cameras = state.points_m, state.centres_m
     plane, near = find_plane(points, cameras, seed)
+    if int(near.sum()) < LEAST_POINTS:
+        raise AlignmentError(f"Only {int(near.sum())} tie points lie on one plane: no wall was found.")
     plane = _levelled(plane, points[near], state.rotations)
     local = plane.coordinates(points)
     distance = float(np.median(plane.coordinates(cameras)[:, 2]))
@@ -182,7 +193,10 @@ def measure_flatness(block: Calibrated, estimate: Estimate, seed: int = 0) -> Fl
     tangent = similarity_tangent(points - points.mean(axis=0)).reshape(-1, 7)
     flat = gradients.reshape(-1, len(TERMS))
     gradients = (flat - tangent @ np.linalg.lstsq(tangent, flat, rcond=None)[0]).reshape(gradients.shape)
-    formal = adjustment.functional_covariance(adjusted, gradients)
+    try:
+        formal = adjustment.functional_covariance(adjusted, gradients)
+    except np.linalg.LinAlgError as error:
+        raise AlignmentError("The photos of the wall hang together too weakly to measure it.") from error
     excess = estimate.correlation_factor / adjustment.noise_factor
     covariance: FloatArray = formal * excess
     if adjusted.point_response is not None:
