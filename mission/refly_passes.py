@@ -95,7 +95,7 @@ def orbits(
     tilts_deg: tuple[float, ...],
     heights: tuple[float, ...],
 ) -> list[Shape]:
-    """Circles of all heights, the larger tilts, all numbers; the first station nearest to the launch point."""
+    """Circles of all heights, the larger tilts, all numbers; the first station is the launch point's side."""
     towards = math.degrees(math.atan2(-middle_m[0], -middle_m[1]))
     return [
         circle(middle_m, ground_m, factor * height_m, tilt, count, towards)
