@@ -189,30 +189,27 @@ def _alternatives(search: PassSearch, found: Found) -> tuple[Alternative, ...]:
 def binding_limit(flown: FlownSite, search: PassSearch, return_m: float) -> str | None:
     """Which one limit, were it not there, would let a pass cure; None where none of them does."""
     site = flown.site
-    if math.isfinite(search.most_s):
-        cure_s = _cured_in_s(search)
-        if cure_s is not None:
-            return (
-                f"The battery binds: the shortest cure takes about {time_words(cure_s)}, and "
-                f"{time_words(_most_s(site))} may be flown "
-                f"({100 * site.vehicle.reserve_share:.0f} % are kept)."
-            )
+    if search.cure_s is not None:
+        return (
+            f"The battery binds: the shortest cure takes about {time_words(search.cure_s)}, and "
+            f"{time_words(_most_s(site))} may be flown "
+            f"({100 * site.vehicle.reserve_share:.0f} % are kept)."
+        )
     for words, freed in _freed(site):
         other = PassSearch(flown.planned, freed, return_m, math.inf, search.criterion)
         other.fill()
-        if _cured_in_s(other) is not None:
+        if _curable(other):
             return words
     return None
 
 
-def _cured_in_s(search: PassSearch) -> float | None:
-    """Seconds of a cure from the pool however long it takes; None where there is none."""
-    most, search.most_s = search.most_s, math.inf
-    try:
-        found = search.best() if search.candidates.stations else None
-    finally:
-        search.most_s = most
-    return found.seconds if found is not None and found.good else None
+def _curable(search: PassSearch) -> bool:
+    """Whether any pass cures; a regular one answers soonest."""
+    regular = search.regular("orbit")
+    if regular is not None and regular.good:
+        return True
+    found = search.best()
+    return found is not None and found.good
 
 
 def _freed(site: Site) -> Iterator[tuple[str, Site]]:

@@ -24,7 +24,7 @@ LOWEST, _BELOW_CEILING_M = 0.3, 0.2
 CIRCLE_PHOTOS = (4, 6, 8, 12)
 #: [C&D]'s eight convergent photos: as high as the survey, here 40 degrees off nadir.
 PAPER_PHOTOS, PAPER_TILT_DEG = 8, 40.0
-ARC_DEG = 150.0
+ARC_DEG, ARC_PHOTOS = 150.0, (5,)
 
 
 @dataclass(frozen=True)
@@ -95,12 +95,12 @@ def orbits(
     tilts_deg: tuple[float, ...],
     heights: tuple[float, ...],
 ) -> list[Shape]:
-    """Circles of all heights, tilts and numbers, the first station nearest to the launch point."""
+    """Circles of all heights, the larger tilts, all numbers; the first station is the launch point's side."""
     towards = math.degrees(math.atan2(-middle_m[0], -middle_m[1]))
     return [
         circle(middle_m, ground_m, factor * height_m, tilt, count, towards)
         for factor in heights
-        for tilt in tilts_deg
+        for tilt in tilts_deg[-2:]
         for count in CIRCLE_PHOTOS
     ]
 
@@ -124,7 +124,7 @@ def arcs(
         for side in (0.0, 90.0, -90.0, 180.0)
         for factor in _middle(heights)
         for tilt in tilts_deg[-2:]
-        for count in (4, 6)
+        for count in ARC_PHOTOS
     ]
 
 

@@ -157,6 +157,8 @@ class PassSearch:
             planned, self.middle_m, site.vehicle, gaps, lambda s: counts(s) and allowed(s)
         )
         self.candidates.detours = PassDetours(site.vehicle, return_height_m)
+        #: Seconds of the shortest cure that :meth:`best` found, however long; None: none.
+        self.cure_s: float | None = None
         self.shapes: list[tuple[tuple[int, ...], Shape]] = []
         self._found: dict[tuple[int, ...], Found] = {}
 
@@ -205,6 +207,7 @@ class PassSearch:
         found = self._cheapest()
         if regular is not None and regular.rank < found.rank:
             found = regular
+        self.cure_s = found.seconds if found.good else None
         return self.within_time() if found.seconds > self.most_s else found
 
     def _cheapest(self) -> Found:

@@ -12,7 +12,7 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from benchmarks.refly_optimality import check_of, flown_case, outcome
+from benchmarks.refly_optimality import check_of, flown, outcome
 from calib.errors import FieldcalError, FormatError, InputError
 from calib.findings import Finding, State, Verdict
 from calib.flown_file import NETWORK_FILE, FlownCheck, network_bytes, read_network
@@ -33,7 +33,7 @@ from sim.network import SimOptions, observe
 
 @pytest.fixture(scope="module")
 def case() -> FlownSite:
-    return flown_case(2)
+    return flown(2, 60.0, 110.0, (4, 7), 5000)
 
 
 @pytest.fixture(scope="module")

@@ -27,7 +27,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     home = tmp_path_factory.mktemp("refly")
     truth = write_survey("demo_nadir", home / "old", 3, size=SIZE, options=FLOWN, workers=1)
     lens = true_lens(truth, home / "lens.json")
-    first = check(home, "old", "--reference", lens, "--out", "first", "--quiet")
+    first = check(home, "old", "--reference", lens, "--out", "first", "--quiet", timeout_s=1200)
     files = [home / f"pass{suffix}" for suffix in (".plan", ".waypoints", ".kmz", ".csv", ".kml", ".html")]
     words = [word for path in files for word in ("--out", str(path))]
     code = cli.run(["refly", str(home / "first"), *words, "--json", str(home / "pass.json")])
@@ -37,7 +37,7 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     )
     flight = flight_of(wanted["stations"], later)
     write_survey("demo_nadir", home / "new", 3, size=SIZE, options=later, workers=1, instead=flight)
-    both = check(home, "old", "new", "--reference", lens, "--out", "both", "--quiet")
+    both = check(home, "old", "new", "--reference", lens, "--out", "both", "--quiet", timeout_s=1200)
     return {"home": home, "first": first, "code": code, "pass": wanted, "both": both, "files": files}
 
 
