@@ -48,25 +48,26 @@ def split(planned: Planned) -> tuple[Planned, ...]:
     sequence, groups = _pieces(plan)
     if not sequence:
         sequence, groups = groups, []
-    parts: list[list[Piece]] = []
+    plans: list[Plan] = []
     left = list(sequence)
     home = _nearest_pieces(sequence, groups)
     while left:
         count = _most_that_fit(plan, site, left, groups, home, len(sequence) - len(left))
         first = len(sequence) - len(left)
         own = [group for group, at in zip(groups, home, strict=True) if first <= at < first + count]
-        alone = [] if _fits(_built(plan, site, [*left[:count], *own]), site) else own
-        parts.append(left[:count] if alone else [*left[:count], *own])
-        parts += [[group] for group in alone]
+        together = _built(plan, site, [*left[:count], *own])
+        if not own or _fits(together, site):
+            plans.append(_checked(together, site))
+        else:  # A ring too long for anything beside it.
+            plans += [
+                _checked(_built(plan, site, part), site) for part in (left[:count], *([o] for o in own))
+            ]
         left = left[count:]
-        if len(parts) > MOST_PARTS:
+        if len(plans) > MOST_PARTS:
             raise InputError(
                 f"The mission would need more than {MOST_PARTS} batteries: fly higher, ask for less overlap, "
                 "or plan a part of the area."
             )
-    plans = [_built(plan, site, part) for part in parts]
-    for part in plans:
-        _check_fits(part, site)
     plans.sort(key=lambda part: -_convergent(part))
     return tuple(
         replace(
@@ -184,16 +185,16 @@ def _fits(plan: Plan, site: Site) -> bool:
     return share <= 1 - vehicle.reserve_share and item_count(plan) <= vehicle.most_items
 
 
-def _check_fits(part: Plan, site: Site) -> None:
+def _checked(part: Plan, site: Site) -> Plan:
     if _fits(part, site):
-        return
+        return part
     share = 100 * timing(part, site.wind).battery_share
     limit = 100 * (1 - part.vehicle.reserve_share)
     if not math.isfinite(share) or share > limit:
         raise InputError(
             f"Splitting does not help: one line or ring alone, with the way there and back, takes "
-            f"{share:.0f} % of a battery of which {limit:.0f} % are available; move the launch point nearer, turn the lines "
-            "(--heading), or plan a part of the area."
+            f"{share:.0f} % of a battery of which {limit:.0f} % are available; move the launch point nearer, "
+            "turn the lines (--heading), or plan a part of the area."
         )
     raise InputError(
         f"Splitting does not help: one line or ring alone has about {item_count(part)} mission items and the "
