@@ -109,6 +109,8 @@ def _pieces(plan: Plan) -> tuple[list[Piece], list[Piece]]:
         if on_line or here.shot is Shot.LINE:
             chain.append(here)
             if here.shot is not Shot.LINE:
+                if single and _goes_on(single[-1], chain):
+                    chain = [*single.pop().waypoints, *chain]
                 single.append(Piece(tuple(chain), reversible=False))
                 chain = []
         elif here.shot is Shot.STOP:
@@ -128,6 +130,19 @@ def _pieces(plan: Plan) -> tuple[list[Piece], list[Piece]]:
     if not sequence:  # Nothing but rings and the like: photo by photo.
         return [Piece((w,), reversible=False) for group in groups for w in group.waypoints], []
     return sequence, groups
+
+
+def _goes_on(piece: Piece, chain: Sequence[Waypoint]) -> bool:
+    """Whether a line is the next stretch of the line before it: cut by nothing but a change of slope."""
+    if piece.waypoints[0].shot is not Shot.LINE:
+        return False
+    ahead = chain[-1].enu_m - chain[0].enu_m
+    between, before = chain[0].enu_m - piece.ends_m[1], piece.ends_m[1] - piece.ends_m[0]
+
+    def along(way: FloatArray) -> bool:
+        return float(way[:2] @ ahead[:2]) >= 0.99 * float(np.hypot(*way[:2]) * np.hypot(*ahead[:2]))
+
+    return along(between) and along(before)
 
 
 def _nearest_pieces(sequence: Sequence[Piece], groups: Sequence[Piece]) -> list[int]:
