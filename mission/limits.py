@@ -19,7 +19,7 @@ from mission.limits_path import (
 from mission.plan import Plan, Shot, line_photos_m, stations
 from mission.rule import Finding
 from mission.site import Site
-from mission.timing import minutes, timing
+from mission.timing import minutes, most_airspeed_m_s, timing
 
 #: A first waypoint farther away is more often a slip than meant.
 FIRST_WAYPOINT_M = 900.0
@@ -125,8 +125,13 @@ def _endurance(plan: Plan, site: Site) -> Finding:
         f"The flight takes {minutes(cost.duration_s)} and {share:.0f} % of a battery "
         f"({minutes(plan.vehicle.endurance_s)}); {100 - limit:.0f} % are kept for extra passes and landing"
     )
+    most = most_airspeed_m_s(plan.vehicle)
     if ok:
         message += "."
+    elif site.wind.speed_m_s >= most:
+        message += (
+            f"; a wind of {site.wind.speed_m_s:g} m/s is more than the aircraft flies ({most:.0f} m/s): wait."
+        )
     else:
         batteries = math.ceil(share / max(limit, 1e-9))
         message += (

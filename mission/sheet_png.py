@@ -55,7 +55,7 @@ def write_picture(planned: Planned, path: Path) -> None:
 def render_picture(planned: Planned) -> bytes:
     """The sheet as PNG, the same for the same plan."""
     figure = Figure(figsize=_SIZE_INCHES, dpi=_DPI)
-    canvas = FigureCanvasAgg(figure)
+    FigureCanvasAgg(figure)
     grid = figure.add_gridspec(
         2, 3, width_ratios=(1.0, 1.0, 1.05), height_ratios=(1.7, 1.0), left=0.06, right=0.985, top=0.84,
         bottom=0.08, wspace=0.28, hspace=0.32,
@@ -66,7 +66,7 @@ def render_picture(planned: Planned) -> bytes:
     _heights(figure.add_subplot(grid[1, :2]), planned)
     _text(figure.add_subplot(grid[:, 2]), planned)
     data = io.BytesIO()
-    canvas.print_png(data, metadata={"Software": "fieldcal"})
+    figure.savefig(data, format="png", dpi=_DPI, metadata={"Software": "fieldcal"})
     return data.getvalue()
 
 

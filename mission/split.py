@@ -48,25 +48,26 @@ def split(planned: Planned) -> tuple[Planned, ...]:
     sequence, groups = _pieces(plan)
     if not sequence:
         sequence, groups = groups, []
-    parts: list[list[Piece]] = []
+    plans: list[Plan] = []
     left = list(sequence)
     home = _nearest_pieces(sequence, groups)
     while left:
         count = _most_that_fit(plan, site, left, groups, home, len(sequence) - len(left))
         first = len(sequence) - len(left)
         own = [group for group, at in zip(groups, home, strict=True) if first <= at < first + count]
-        alone = [] if _fits(_built(plan, site, [*left[:count], *own]), site) else own
-        parts.append(left[:count] if alone else [*left[:count], *own])
-        parts += [[group] for group in alone]
+        together = _built(plan, site, [*left[:count], *own])
+        if not own or _fits(together, site):
+            plans.append(_checked(together, site))
+        else:  # A ring too long for anything beside it.
+            plans += [
+                _checked(_built(plan, site, part), site) for part in (left[:count], *([o] for o in own))
+            ]
         left = left[count:]
-        if len(parts) > MOST_PARTS:
+        if len(plans) > MOST_PARTS:
             raise InputError(
                 f"The mission would need more than {MOST_PARTS} batteries: fly higher, ask for less overlap, "
                 "or plan a part of the area."
             )
-    plans = [_built(plan, site, part) for part in parts]
-    for part in plans:
-        _check_fits(part, site)
     plans.sort(key=lambda part: -_convergent(part))
     return tuple(
         replace(
@@ -108,6 +109,8 @@ def _pieces(plan: Plan) -> tuple[list[Piece], list[Piece]]:
         if on_line or here.shot is Shot.LINE:
             chain.append(here)
             if here.shot is not Shot.LINE:
+                if single and _goes_on(single[-1], chain):
+                    chain = [*single.pop().waypoints, *chain]
                 single.append(Piece(tuple(chain), reversible=False))
                 chain = []
         elif here.shot is Shot.STOP:
@@ -127,6 +130,19 @@ def _pieces(plan: Plan) -> tuple[list[Piece], list[Piece]]:
     if not sequence:  # Nothing but rings and the like: photo by photo.
         return [Piece((w,), reversible=False) for group in groups for w in group.waypoints], []
     return sequence, groups
+
+
+def _goes_on(piece: Piece, chain: Sequence[Waypoint]) -> bool:
+    """Whether a line is the next stretch of the line before it: cut by nothing but a change of slope."""
+    if piece.waypoints[0].shot is not Shot.LINE:
+        return False
+    ahead = chain[-1].enu_m - chain[0].enu_m
+    between, before = chain[0].enu_m - piece.ends_m[1], piece.ends_m[1] - piece.ends_m[0]
+
+    def along(way: FloatArray) -> bool:
+        return float(way[:2] @ ahead[:2]) >= 0.99 * float(np.hypot(*way[:2]) * np.hypot(*ahead[:2]))
+
+    return along(between) and along(before)
 
 
 def _nearest_pieces(sequence: Sequence[Piece], groups: Sequence[Piece]) -> list[int]:
@@ -184,16 +200,16 @@ def _fits(plan: Plan, site: Site) -> bool:
     return share <= 1 - vehicle.reserve_share and item_count(plan) <= vehicle.most_items
 
 
-def _check_fits(part: Plan, site: Site) -> None:
+def _checked(part: Plan, site: Site) -> Plan:
     if _fits(part, site):
-        return
+        return part
     share = 100 * timing(part, site.wind).battery_share
     limit = 100 * (1 - part.vehicle.reserve_share)
     if not math.isfinite(share) or share > limit:
         raise InputError(
             f"Splitting does not help: one line or ring alone, with the way there and back, takes "
-            f"{share:.0f} % of a battery of which {limit:.0f} % are available; move the launch point nearer, turn the lines "
-            "(--heading), or plan a part of the area."
+            f"{share:.0f} % of a battery of which {limit:.0f} % are available; move the launch point nearer, "
+            "turn the lines (--heading), or plan a part of the area."
         )
     raise InputError(
         f"Splitting does not help: one line or ring alone has about {item_count(part)} mission items and the "

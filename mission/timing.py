@@ -13,7 +13,7 @@ from itertools import pairwise
 import numpy as np
 
 from calib.camera import FloatArray
-from mission.plan import Plan, Shot, stations
+from mission.plan import Plan, Shot, Vehicle, stations
 from mission.site import Wind
 
 #: Airspeed at which a camera quadcopter gives up, at least: against more wind it falls behind.
@@ -121,11 +121,16 @@ def leg_speed_m_s(plan: Plan, way_m: FloatArray, air_m_s: FloatArray) -> float:
     if abs(unit[2]) > 1e-9:
         limits.append((vehicle.climb_m_s if unit[2] > 0 else vehicle.descent_m_s) / abs(float(unit[2])))
     # |speed unit - air| <= most: the larger root.
-    most = max(MOST_AIRSPEED_M_S, 1.25 * vehicle.speed_m_s)
+    most = most_airspeed_m_s(vehicle)
     along = float(unit @ air_m_s)
     room = along**2 - float(air_m_s @ air_m_s) + most**2
     limits.append(along + math.sqrt(room) if room > 0 else 0.0)
     return max(min(limits), LEAST_GROUND_SPEED_M_S)
+
+
+def most_airspeed_m_s(vehicle: Vehicle) -> float:
+    """Fastest through the air, in an estimate."""
+    return max(MOST_AIRSPEED_M_S, 1.25 * vehicle.speed_m_s)
 
 
 def power_share(airspeed_m_s: FloatArray) -> float:

@@ -80,6 +80,9 @@ def test_an_orbit_stays_whole_and_is_flown_first_with_lines_under_it() -> None:
     of_orbit = [[s for s in stations(part.plan) if s.pattern == "orbit"] for part in parts]
     assert [len(o) for o in of_orbit] == [24] + [0] * (len(parts) - 1)
     assert "fly it first" in parts[0].notes[-1]
+    # Lines stay whole: no line has photos in two parts.
+    lines = [{round(s.east_m) for s in stations(part.plan) if s.pattern == "nadir"} for part in parts]
+    assert sum(len(line) for line in lines) == len(set().union(*lines))
     below = [s for s in stations(parts[0].plan) if s.pattern == "nadir"]
     assert min(abs(s.east_m - 110) + abs(s.north_m) for s in below) < 30
 

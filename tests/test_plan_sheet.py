@@ -75,8 +75,8 @@ def test_the_picture_shows_path_photos_and_text() -> None:
         part = picture[int(top * rows) : int(bottom * rows), int(left * columns) : int(right * columns)]
         return int((np.abs(part - colour).sum(axis=2) < 40).sum())
 
-    blue, red = (0, 80, 143), (155, 0, 0)
+    blue, orange = (0, 80, 140), (176, 48, 0)
     assert drawn(0.15, 0.6, 0.05, 0.35, blue) > 300  # photos
-    assert drawn(0.15, 0.6, 0.05, 0.35, red) > 50  # fence
+    assert drawn(0.15, 0.6, 0.05, 0.35, orange) > 100  # the fan
     assert drawn(0.65, 0.95, 0.05, 0.65, blue) > 300  # heights
     assert drawn(0.15, 0.95, 0.70, 1.0, (0, 0, 0)) + drawn(0.15, 0.95, 0.70, 1.0, (34, 34, 34)) > 500  # words
