@@ -24,6 +24,7 @@ from calib.findings import Finding, State, Verdict
 from calib.flown import FlownNetwork
 from calib.network_design import CameraNetwork, Known
 from calib.result import CheckResult
+from calib.wording import printable
 
 NETWORK_FILE = "network.npz"
 SCHEMA: Final = "fieldcal.network/1"
@@ -166,16 +167,16 @@ def network_bytes(check: FlownCheck) -> bytes:
         stands_for=flown.stands_for,
         matched_share=flown.matched_share,
         verdict=check.verdict,
-        headline=check.headline,
+        headline=printable(check.headline),
         findings=tuple(_finding_model(f) for f in check.findings),
-        camera=check.camera_name,
+        camera=printable(check.camera_name),
         sigma_f_formal_px=check.sigma_f_formal_px,
         dome_sigma_m=check.dome_sigma_m,
         height_agl_m=check.height_agl_m,
         origin_wgs84=check.origin_wgs84,
         launch_up_m=check.launch_up_m,
-        photos=check.photos,
-        geotag_fault=check.geotag_fault,
+        photos=tuple(printable(name) for name in check.photos),
+        geotag_fault=None if check.geotag_fault is None else printable(check.geotag_fault),
     )
     text = about.model_dump_json(by_alias=True)
     out = io.BytesIO()
@@ -211,7 +212,7 @@ def _finding_model(finding: Finding) -> _Finding:
         unit=finding.unit,
         threshold=known(finding.threshold),
         source=finding.source,
-        message=finding.message,
+        message=printable(finding.message),
     )
 
 
