@@ -172,11 +172,9 @@ def test_any_one_photo_may_be_missing(case: FlownSite, found: Refly) -> None:
 @pytest.mark.parametrize("seed", [3, 11, 17])
 def test_the_search_is_within_a_tenth_of_the_best_subset(seed: int) -> None:
     one = outcome(seed)
-    if one.least_s is None:
-        assert not one.good
-    else:
-        assert one.good
-        assert 0.999 <= one.chosen_s / one.least_s <= 1.1
+    assert one.good
+    assert one.least_s is not None
+    assert 0.999 <= one.chosen_s / one.least_s <= 1.1
 
 
 def test_the_sheet_has_everything(found: Refly) -> None:
