@@ -17,6 +17,7 @@ from calib.report import (
     PROCESSING_WORDS,
     SIGNS,
     VERDICT_SIGNS,
+    adjustment_rows,
     findings_section,
     left_out_section,
 )
@@ -189,20 +190,8 @@ def _provenance(calibration: Calibration, saved_as: str | None) -> str:
                     f"{quantity(line.k1_min)} to {quantity(line.k1_max)}; {line.source}",
                 )
             )
-    settled = "settled" if solution.converged else "did not settle"
     rows += [
-        (
-            "Adjustment",
-            f"{len(solution.points_m)} points, {len(solution.observations)} observations, "
-            f"{settled} after {solution.iterations} iterations, sigma0 {solution.sigma0:.2f}",
-        ),
-        (
-            "Sigma of f",
-            f"{quantity(estimate.sigma_f_px, None, 'px', 2)}, from a formal "
-            f"{quantity(estimate.sigma_f_formal_px, None, 'px', 2)}, correlated residuals (variance "
-            f"× {quantity(estimate.correlation_factor, None, '', 2)}) and a spread of "
-            f"{quantity(estimate.spread_f_px, None, 'px', 2)} over lens models",
-        ),
+        *adjustment_rows(solution, estimate),
         ("Software", f"fieldcal {metadata.version('fieldcal')}, plotly {metadata.version('plotly')}"),
     ]
     items = "".join(f"<dt>{html_text(name)}</dt><dd>{html_text(value)}</dd>" for name, value in rows)

@@ -12,6 +12,7 @@ from calib.photos.photo import Processing
 from calib.propagation import parameter_sigmas
 from calib.report_figures import figures_section
 from calib.result import CheckResult
+from calib.solution import Estimate, Solution
 from calib.wording import (
     PARAMETERS,
     STATE_ORDER,
@@ -192,20 +193,8 @@ def _provenance(result: CheckResult) -> str:
         )
     if georeference.fault:
         rows.append(("Geotags", georeference.fault))
-    settled = "settled" if solution.converged else "did not settle"
     rows += [
-        (
-            "Adjustment",
-            f"{len(solution.points_m)} points, {len(solution.observations)} observations, "
-            f"{settled} after {solution.iterations} iterations, sigma0 {solution.sigma0:.2f}",
-        ),
-        (
-            "Sigma of f",
-            f"{quantity(estimate.sigma_f_px, None, 'px', 2)}, from a formal "
-            f"{quantity(estimate.sigma_f_formal_px, None, 'px', 2)}, correlated residuals (variance "
-            f"× {quantity(estimate.correlation_factor, None, '', 2)}) and a spread of "
-            f"{quantity(estimate.spread_f_px, None, 'px', 2)} over lens models",
-        ),
+        *adjustment_rows(solution, estimate),
         ("f by lens model", _models(estimate.models)),
     ]
     if estimate.rejected_models:
@@ -223,6 +212,25 @@ def _provenance(result: CheckResult) -> str:
         '<section aria-labelledby="provenance"><h2 id="provenance">Where this comes from</h2>'
         f"<dl>{items}</dl></section>"
     )
+
+
+def adjustment_rows(solution: Solution, estimate: Estimate) -> list[tuple[str, str]]:
+    """How the block was solved and what the sigma of f is made of, for a table of provenance."""
+    settled = "settled" if solution.converged else "did not settle"
+    return [
+        (
+            "Adjustment",
+            f"{len(solution.points_m)} points, {len(solution.observations)} observations, "
+            f"{settled} after {solution.iterations} iterations, sigma0 {solution.sigma0:.2f}",
+        ),
+        (
+            "Sigma of f",
+            f"{quantity(estimate.sigma_f_px, None, 'px', 2)}, from a formal "
+            f"{quantity(estimate.sigma_f_formal_px, None, 'px', 2)}, correlated residuals (variance "
+            f"× {quantity(estimate.correlation_factor, None, '', 2)}) and a spread of "
+            f"{quantity(estimate.spread_f_px, None, 'px', 2)} over lens models",
+        ),
+    ]
 
 
 def _models(models: dict[str, float]) -> str:

@@ -7,6 +7,7 @@ import importlib
 import os
 import socket
 import termios
+from collections.abc import Callable
 from typing import Any, Protocol
 
 from calib.errors import InputError
@@ -126,13 +127,37 @@ class Udp:
         self._socket.close()
 
 
+class _Whole:
+    """Writes to a stream: a message is never cut in the middle, its rest goes first next time."""
+
+    def __init__(self, send: Callable[[bytes], int]) -> None:
+        self._send, self._rest = send, b""
+
+    def write(self, data: bytes) -> bool:
+        """Whether the message is on its way; False: the one before still is."""
+        self._flush()
+        if self._rest:
+            return False
+        self._rest = data
+        self._flush()
+        return True
+
+    def _flush(self) -> None:
+        while self._rest:
+            try:
+                sent = self._send(self._rest)
+            except BlockingIOError:
+                return
+            self._rest = self._rest[sent:]
+
+
 class _Tcp:
     def __init__(self, address: Address) -> None:
         _, where = _resolved(address, socket.SOCK_STREAM)
         self._socket = socket.create_connection(where[:2], CONNECT_S)
         self._socket.setsockopt(socket.IPPROTO_TCP, socket.TCP_NODELAY, 1)
         self._socket.setblocking(False)
-        self._rest = b""
+        self._out = _Whole(self._socket.send)
 
     def fileno(self) -> int:
         return self._socket.fileno()
@@ -147,21 +172,7 @@ class _Tcp:
         return [(data, None)]
 
     def write(self, data: bytes) -> bool:
-        """A message is never cut in the middle: its rest goes first next time."""
-        self._flush()
-        if self._rest:
-            return False
-        self._rest = data
-        self._flush()
-        return True
-
-    def _flush(self) -> None:
-        while self._rest:
-            try:
-                sent = self._socket.send(self._rest)
-            except BlockingIOError:
-                return
-            self._rest = self._rest[sent:]
+        return self._out.write(data)
 
     def answer(self, origin: Origin) -> None:
         del origin
@@ -181,7 +192,7 @@ class _Serial:
         except ValueError as error:
             raise InputError(f"{address.place} cannot be set to {address.number} baud.") from error
         self._fd = int(self._port.fileno())
-        self._rest = b""
+        self._out = _Whole(lambda data: os.write(self._fd, data))
 
     def fileno(self) -> int:
         return self._fd
@@ -196,20 +207,7 @@ class _Serial:
         return [(data, None)]
 
     def write(self, data: bytes) -> bool:
-        self._flush()
-        if self._rest:
-            return False
-        self._rest = data
-        self._flush()
-        return True
-
-    def _flush(self) -> None:
-        while self._rest:
-            try:
-                sent = os.write(self._fd, self._rest)
-            except BlockingIOError:
-                return
-            self._rest = self._rest[sent:]
+        return self._out.write(data)
 
     def answer(self, origin: Origin) -> None:
         del origin
