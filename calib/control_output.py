@@ -5,22 +5,22 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 from importlib import metadata
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
 
-from calib.camera import BROWN_NAMES
 from calib.control import ControlCalibration, coverage_hint
-from calib.field import LENS_NAMES
 from calib.figures import correlation_figure
 from calib.figures.control import control_profiles_figure, marks_figure
 from calib.findings import State
-from calib.html_page import drawn_sign, html_page, sentence
+from calib.html_page import drawn_sign, facts_section, html_page, sentence
 from calib.onsite import calibration_date
 from calib.propagation import BROWN_KEYS, correlations
 from calib.reference import Reference
+from calib.references import reference_of_body
 from calib.report import SIGNS
 from calib.report_figures import figures_html
 from calib.report_json import CameraModel, JsonModel, camera_model
@@ -108,30 +108,16 @@ def control_json(made: ControlCalibration, saved_as: str | None = None) -> str:
 
 def control_reference(made: ControlCalibration, name: str, temperature_c: float | None) -> Reference:
     """As a reference for the check: Brown with its full covariance."""
-    camera, covariance = made.photos[0].camera, made.fit.covariance
-    full = np.zeros((len(LENS_NAMES), len(LENS_NAMES)))
-    full[: len(BROWN_NAMES), : len(BROWN_NAMES)] = covariance
-    sigma = np.sqrt(np.diag(covariance))
-    return Reference(
-        name=name,
-        make=camera.make,
-        model=camera.model,
-        width=camera.width,
-        height=camera.height,
-        processing=camera.processing,
-        source="fieldcal calibrate control: self-calibration on control points",
-        brown=made.camera,
-        sigma={key: float(s) for key, s in zip(BROWN_NAMES, sigma, strict=True) if s > 0},
-        covariance=full,
-        serial=camera.serial,
-        date=calibration_date(made.photos),
-        temperature_c=temperature_c,
-        provenance=summary(made),
-        exif_models=(camera.model,) if camera.model else (),
-        focal_mm=camera.focal_mm,
-        fitted_brown=made.camera,
-        fitted_covariance=covariance,
+    reference = reference_of_body(
+        name,
+        made.photos[0].camera,
+        made.camera,
+        made.fit.covariance,
+        calibration_date(made.photos),
+        "fieldcal calibrate control: self-calibration on control points",
+        summary(made),
     )
+    return replace(reference, temperature_c=temperature_c)
 
 
 def summary(made: ControlCalibration) -> str:
@@ -269,8 +255,7 @@ def _provenance(made: ControlCalibration, saved_as: str | None) -> str:
         ("Saved as", saved_as or "not saved"),
         ("Software", f"fieldcal {metadata.version('fieldcal')}, plotly {metadata.version('plotly')}"),
     ]
-    items = "".join(f"<dt>{html_text(name)}</dt><dd>{html_text(value)}</dd>" for name, value in rows)
-    return f"<section><h2>Where this comes from</h2><dl>{items}</dl></section>"
+    return facts_section("provenance", "Where this comes from", rows)
 
 
 def _errors(made: ControlCalibration, check: bool) -> ErrorModel:

@@ -20,9 +20,10 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.errors import FormatError, InputError
 from calib.field import FIELD_NAMES, LENS_NAMES, Lens
-from calib.findings import Finding, State, Verdict
+from calib.findings import Finding, Verdict
 from calib.flown import FlownNetwork
 from calib.network_design import CameraNetwork, Known
+from calib.report_json import FindingModel, finding_models, findings_of
 from calib.result import CheckResult
 from calib.wording import printable
 
@@ -90,17 +91,6 @@ class _Part(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class _Finding(_Part):
-    rule: str
-    state: State
-    value: FiniteFloat | None
-    sigma: FiniteFloat | None
-    unit: str
-    threshold: FiniteFloat | None
-    source: str
-    message: str
-
-
 Positive = Annotated[FiniteFloat, Field(gt=0)]
 
 
@@ -115,7 +105,7 @@ class _About(_Part):
     matched_share: Annotated[FiniteFloat, Field(gt=0, le=1)]
     verdict: Verdict
     headline: str
-    findings: tuple[_Finding, ...]
+    findings: tuple[FindingModel, ...]
     camera: str
     sigma_f_formal_px: Positive
     dome_sigma_m: Positive
@@ -168,7 +158,7 @@ def network_bytes(check: FlownCheck) -> bytes:
         matched_share=flown.matched_share,
         verdict=check.verdict,
         headline=printable(check.headline),
-        findings=tuple(_finding_model(f) for f in check.findings),
+        findings=tuple(finding_models(check.findings)),
         camera=printable(check.camera_name),
         sigma_f_formal_px=check.sigma_f_formal_px,
         dome_sigma_m=check.dome_sigma_m,
@@ -198,22 +188,6 @@ def network_bytes(check: FlownCheck) -> bytes:
         brown_covariance=check.brown_covariance,
     )
     return out.getvalue()
-
-
-def _finding_model(finding: Finding) -> _Finding:
-    def known(value: float | None) -> float | None:
-        return value if value is not None and np.isfinite(value) else None
-
-    return _Finding(
-        rule=finding.rule,
-        state=finding.state,
-        value=known(finding.value),
-        sigma=known(finding.sigma),
-        unit=finding.unit,
-        threshold=known(finding.threshold),
-        source=finding.source,
-        message=printable(finding.message),
-    )
 
 
 def read_network(path: Path) -> FlownCheck:
@@ -287,7 +261,7 @@ def _made(arrays: dict[str, FloatArray], about: _About) -> FlownCheck:
         flown=FlownNetwork(network, known, about.noise_px, about.stands_for, about.matched_share),
         verdict=about.verdict,
         headline=about.headline,
-        findings=tuple(Finding(**finding.model_dump()) for finding in about.findings),
+        findings=findings_of(about.findings),
         camera_name=about.camera,
         brown=brown,
         brown_covariance=a["brown_covariance"],

@@ -9,6 +9,7 @@ from __future__ import annotations
 
 import base64
 import hashlib
+from collections.abc import Callable, Iterable
 from importlib import resources
 
 from plotly.offline import get_plotlyjs
@@ -58,6 +59,14 @@ def drawn_sign(drawing: str) -> str:
 def sentence(text: str) -> str:
     """Plain text as HTML, numbers bound to their units."""
     return with_bound_units(html_text(text))
+
+
+def facts_section(
+    name: str, heading: str, rows: Iterable[tuple[str, str]], as_html: Callable[[str], str] = html_text
+) -> str:
+    """A section of facts by name. ``name``: of the section in the file; ``as_html``: how a fact is put."""
+    items = "".join(f"<dt>{html_text(key)}</dt><dd>{as_html(value)}</dd>" for key, value in rows)
+    return f'<section aria-labelledby="{name}"><h2 id="{name}">{heading}</h2><dl>{items}</dl></section>'
 
 
 def _bundled(name: str) -> str:

@@ -10,7 +10,7 @@ from calib.figures.lens import equifinal_figure
 from calib.figures.sensor import residual_exaggeration
 from calib.figures.site import METRES, camera_network_figure, relative_unit
 from calib.figures.wall import wall_figure, wall_plan_figure
-from calib.html_page import drawn_sign, html_page, sentence
+from calib.html_page import drawn_sign, facts_section, html_page, sentence
 from calib.onsite import Calibration, Kind, calibration_date
 from calib.propagation import parameter_sigmas
 from calib.report import (
@@ -194,8 +194,4 @@ def _provenance(calibration: Calibration, saved_as: str | None) -> str:
         *adjustment_rows(solution, estimate),
         ("Software", f"fieldcal {metadata.version('fieldcal')}, plotly {metadata.version('plotly')}"),
     ]
-    items = "".join(f"<dt>{html_text(name)}</dt><dd>{html_text(value)}</dd>" for name, value in rows)
-    return (
-        '<section aria-labelledby="provenance"><h2 id="provenance">Where this comes from</h2>'
-        f"<dl>{items}</dl></section>"
-    )
+    return facts_section("provenance", "Where this comes from", rows)

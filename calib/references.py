@@ -14,10 +14,12 @@ from dataclasses import replace
 from importlib.resources import files
 from pathlib import Path
 
+import numpy as np
 import platformdirs
 
-from calib.camera import BROWN_NAMES, BrownCamera
+from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.errors import FormatError, InputError, OutputError
+from calib.field import LENS_NAMES
 from calib.formats import read_calibration
 from calib.formats.common import ReadOptions
 from calib.photos.photo import CameraIdentity, Processing
@@ -173,7 +175,24 @@ def reference_from_estimate(
     name: str, estimate: Estimate, camera: CameraIdentity, date: str | None, source: str, provenance: str = ""
 ) -> Reference:
     """A survey's self-calibration as a reference: total mapping, and Brown fitted to it, with sigmas."""
-    sigma = estimate.covariance.diagonal().clip(min=0) ** 0.5
+    made = reference_of_body(name, camera, estimate.brown, estimate.covariance, date, source, provenance)
+    lens = estimate.lens
+    return replace(made, brown=lens.brown, field_px=lens.field_px, covariance=estimate.lens_covariance)
+
+
+def reference_of_body(
+    name: str,
+    camera: CameraIdentity,
+    brown: BrownCamera,
+    covariance: FloatArray,
+    date: str | None,
+    source: str,
+    provenance: str,
+) -> Reference:
+    """A calibration of the camera that signs its photos as ``camera``: Brown alone, covariance (11, 11)."""
+    sigma = covariance.diagonal().clip(min=0) ** 0.5
+    full = np.zeros((len(LENS_NAMES), len(LENS_NAMES)))
+    full[: len(BROWN_NAMES), : len(BROWN_NAMES)] = covariance
     return Reference(
         name=name,
         make=camera.make,
@@ -182,17 +201,16 @@ def reference_from_estimate(
         height=camera.height,
         processing=camera.processing,
         source=source,
-        brown=estimate.lens.brown,
-        field_px=estimate.lens.field_px,
+        brown=brown,
         sigma={key: float(s) for key, s in zip(BROWN_NAMES, sigma, strict=True) if s > 0},
-        covariance=estimate.lens_covariance,
+        covariance=full,
         serial=camera.serial,
         date=date,
         provenance=provenance,
         exif_models=(camera.model,) if camera.model else (),
         focal_mm=camera.focal_mm,
-        fitted_brown=estimate.brown,
-        fitted_covariance=estimate.covariance,
+        fitted_brown=brown,
+        fitted_covariance=covariance,
     )
 
 

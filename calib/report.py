@@ -7,7 +7,7 @@ from importlib import metadata
 from pathlib import Path
 
 from calib.findings import Finding, State, Verdict
-from calib.html_page import CROSS, TICK, drawn_sign, html_page, sentence
+from calib.html_page import CROSS, TICK, drawn_sign, facts_section, html_page, sentence
 from calib.photos.photo import Processing
 from calib.propagation import parameter_sigmas
 from calib.report_figures import figures_section
@@ -207,11 +207,7 @@ def _provenance(result: CheckResult) -> str:
         ),
         ("Software", f"fieldcal {metadata.version('fieldcal')}, plotly {metadata.version('plotly')}"),
     ]
-    items = "".join(f"<dt>{html_text(name)}</dt><dd>{html_text(value)}</dd>" for name, value in rows)
-    return (
-        '<section aria-labelledby="provenance"><h2 id="provenance">Where this comes from</h2>'
-        f"<dl>{items}</dl></section>"
-    )
+    return facts_section("provenance", "Where this comes from", rows)
 
 
 def adjustment_rows(solution: Solution, estimate: Estimate) -> list[tuple[str, str]]:

@@ -8,11 +8,12 @@ from __future__ import annotations
 
 import json
 import math
+from collections.abc import Iterable
 from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
-from calib.findings import Finding
+from calib.findings import Finding, State
 from calib.photos.photo import CameraIdentity
 from calib.propagation import correlations, parameter_sigmas
 from calib.reference import Reference
@@ -220,6 +221,11 @@ def finding_models(findings: tuple[Finding, ...]) -> list[FindingModel]:
         )
         for finding in findings
     ]
+
+
+def findings_of(models: Iterable[FindingModel]) -> tuple[Finding, ...]:
+    """Inverse of :func:`finding_models`."""
+    return tuple(Finding(**model.model_dump() | {"state": State(model.state)}) for model in models)
 
 
 def camera_model(camera: CameraIdentity) -> CameraModel:

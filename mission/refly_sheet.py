@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from importlib import metadata
 from pathlib import Path
 from typing import Any
 
@@ -18,6 +17,7 @@ from mission.refly import Refly
 from mission.refly_figures import k1_k2_figure, map_figure
 from mission.refly_words import metres, time_words
 from mission.rule import Finding
+from mission.sheet import flight_facts, ground_facts, planned_from
 
 _OPEN = '<path d="M12 6v7.5M12 17.2v.4"/>'
 _EXTRA_CSS = """
@@ -182,24 +182,8 @@ def _pictures(pass_: Refly) -> str:
 
 
 def _provenance(pass_: Refly) -> str:
-    site, check, vehicle = pass_.flown.site, pass_.check, pass_.flown.site.vehicle
-    rows = [
-        (
-            "Survey",
-            f"{len(check.photos)} photos, {check.height_agl_m:.0f} m above ground, {check.camera_name}",
-        ),
-        ("Launch point", f"{site.frame.latitude_deg:.6f}, {site.frame.longitude_deg:.6f}"),
-        ("Terrain", site.terrain.name),
-        (
-            "Aircraft",
-            f"{vehicle.speed_m_s:.1f} m/s, {vehicle.endurance_s / 60:.0f} min of a battery, "
-            f"{100 * vehicle.reserve_share:.0f} % kept",
-        ),
-        ("Wind", f"{site.wind.speed_m_s:g} m/s from {site.wind.from_deg:g} degrees"),
-        ("Software", f"fieldcal {metadata.version('fieldcal')}"),
-    ]
-    items = "".join(f"<dt>{html_text(k)}</dt><dd>{sentence(v)}</dd>" for k, v in rows)
-    return (
-        '<section aria-labelledby="from"><h2 id="from">What it is planned from</h2>'
-        f"<dl>{items}</dl></section>"
+    site, check = pass_.flown.site, pass_.check
+    survey = f"{len(check.photos)} photos, {check.height_agl_m:.0f} m above ground, {check.camera_name}"
+    return planned_from(
+        [("Survey", survey), *ground_facts(site.frame, site), *flight_facts(site.vehicle, site)]
     )

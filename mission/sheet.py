@@ -10,12 +10,15 @@ from pathlib import Path
 
 from calib.files import write_text_atomic
 from calib.findings import Verdict
-from calib.html_page import CROSS, TICK, drawn_sign, html_page, sentence
+from calib.frames import LocalFrame
+from calib.html_page import CROSS, TICK, drawn_sign, facts_section, html_page, sentence
 from calib.wording import VERDICT_WORDS, html_text, quantity
 from mission.limits import hard_violations
+from mission.plan import Vehicle
 from mission.planned import Planned
 from mission.rule import Finding
 from mission.sheet_figures import figures
+from mission.site import Site
 from mission.timing import minutes
 
 _SIGNS = {
@@ -157,21 +160,37 @@ def _figures(planned: Planned) -> str:
 
 def _provenance(planned: Planned) -> str:
     site, plan = planned.site, planned.plan
-    vehicle = plan.vehicle
-    rows = [
-        ("Launch point", f"{plan.launch.latitude_deg:.6f}, {plan.launch.longitude_deg:.6f}"),
+    overlap = f"{100 * site.forward_overlap:.0f} % along, {100 * site.side_overlap:.0f} % across"
+    return planned_from(
+        [
+            *ground_facts(plan.launch, site),
+            ("Overlap", overlap),
+            *flight_facts(plan.vehicle, site),
+        ]
+    )
+
+
+def ground_facts(launch: LocalFrame, site: Site) -> list[tuple[str, str]]:
+    """Where a mission starts, and over what ground it is planned."""
+    return [
+        ("Launch point", f"{launch.latitude_deg:.6f}, {launch.longitude_deg:.6f}"),
         ("Terrain", site.terrain.name),
-        ("Overlap", f"{100 * site.forward_overlap:.0f} % along, {100 * site.side_overlap:.0f} % across"),
+    ]
+
+
+def flight_facts(vehicle: Vehicle, site: Site) -> list[tuple[str, str]]:
+    """Aircraft and wind that a mission is planned for."""
+    return [
         (
             "Aircraft",
             f"{vehicle.speed_m_s:.1f} m/s, {vehicle.endurance_s / 60:.0f} min of a battery, "
             f"{100 * vehicle.reserve_share:.0f} % kept",
         ),
         ("Wind", f"{site.wind.speed_m_s:g} m/s from {site.wind.from_deg:g} degrees"),
-        ("Software", f"fieldcal {metadata.version('fieldcal')}"),
     ]
-    items = "".join(f"<dt>{html_text(k)}</dt><dd>{sentence(v)}</dd>" for k, v in rows)
-    return (
-        '<section aria-labelledby="from"><h2 id="from">What it is planned from</h2>'
-        f"<dl>{items}</dl></section>"
-    )
+
+
+def planned_from(rows: list[tuple[str, str]]) -> str:
+    """The sheet's section of what a mission was planned from."""
+    software = ("Software", f"fieldcal {metadata.version('fieldcal')}")
+    return facts_section("from", "What it is planned from", [*rows, software], sentence)

@@ -57,28 +57,10 @@ def solution_of(block: SimBlock, calibrated: Calibrated, camera: CameraIdentity 
 
     Where the geotags stand is measured on the calibrated block; an alignment looks a step earlier.
     """
-    adjusted = calibrated.adjusted
-    state = adjusted.state
+    state = calibrated.adjusted.state
     photos = photos_of(block, camera or identity_of(block))
     placement = place(state.rotations, state.centres_m, state.points_m, read_tags(photos))
-    return Solution(
-        photos=photos,
-        lens=state.lens,
-        free=adjusted.free,
-        covariance=adjusted.covariance,
-        rotations_cam_from_world=state.rotations,
-        centres_m=state.centres_m,
-        points_m=state.points_m,
-        observations=calibrated.observations,
-        residuals_px=adjusted.residuals_px,
-        weights=adjusted.weights,
-        sigma0=adjusted.sigma0,
-        georeference=placement.georeference,
-        photos_used=len(photos),
-        components=(len(photos),),
-        converged=adjusted.converged,
-        iterations=adjusted.iterations,
-    )
+    return calibrated.solution(photos, placement.georeference, (len(photos),))
 
 
 def outcome_of(

@@ -52,6 +52,9 @@ _ANOTHER_FLIGHT = 500_000
 #: A camera on its landing gear, above the ground.
 _GEAR_M = 0.3
 
+#: The last ground made: surveys of one place and seed share it.
+_world = lru_cache(maxsize=1)(site_world)
+
 
 def lens_corrected(camera: BrownCamera, k1_left: float = -0.01) -> BrownCamera:
     """The camera of JPEGs that were corrected inside it, with the little K1 that this leaves.
@@ -194,32 +197,15 @@ def _world_of(
     texel_m = options.texel_m or max(nearest_m / camera.f_px, least_m, 2 * half_m / _LARGEST_SIDE)
     kind = plan.world if options.dem is None else "dem"
     return _world(
-        kind, seed, half_m, texel_m, options.relief_m, plan.roughness, scale, options.dem, options.ortho
-    )
-
-
-@lru_cache(maxsize=1)
-def _world(
-    kind: str,
-    seed: int,
-    half_m: float,
-    texel_m: float,
-    relief_m: float,
-    roughness: float,
-    scale: float,
-    dem: Path | None,
-    ortho: Path | None,
-) -> World:
-    return site_world(
         kind,
         seed,
         half_m=half_m,
         texel_m=texel_m,
-        relief_m=relief_m,
-        roughness=roughness,
+        relief_m=options.relief_m,
+        roughness=plan.roughness,
         scale=scale,
-        dem=dem,
-        ortho=ortho,
+        dem=options.dem,
+        ortho=options.ortho,
     )
 
 

@@ -15,7 +15,7 @@ from calib.align.tracks import select
 from calib.camera import BrownCamera, FloatArray
 from calib.field import LENS_NAMES, Lens
 from calib.photos.photo import CameraIdentity, Photo, Processing
-from calib.solution import Georeference, Observations, Solution
+from calib.solution import Georeference, Observations
 from calib.wall import DISTANCE_M, PAIRS, wall_poses
 from sim.flights import phantom3
 from sim.pattern import random_pattern
@@ -77,25 +77,8 @@ def wall_outcome(seed: int, options: WallOptions | None = None, camera: BrownCam
         points + 0.05 * rng.normal(size=points.shape),
     )
     block = calibrate(observations, start, with_lens_priors(loose, camera.width, camera.height, nominal))
-    adjusted = block.adjusted
-    solution = Solution(
-        photos=_photos(camera, k),
-        lens=adjusted.state.lens,
-        free=adjusted.free,
-        covariance=adjusted.covariance,
-        rotations_cam_from_world=adjusted.state.rotations,
-        centres_m=adjusted.state.centres_m,
-        points_m=adjusted.state.points_m,
-        observations=block.observations,
-        residuals_px=adjusted.residuals_px,
-        weights=adjusted.weights,
-        sigma0=adjusted.sigma0,
-        georeference=Georeference(None, None, None, None, trusted=False),
-        photos_used=k,
-        components=(k,),
-        converged=adjusted.converged,
-        iterations=adjusted.iterations,
-    )
+    nowhere = Georeference(None, None, None, None, trusted=False)
+    solution = block.solution(_photos(camera, k), nowhere, (k,))
     outcome = measured(solution, block, None)
     return replace(outcome, flatness=measure_flatness(block, outcome.estimate))
 

@@ -294,7 +294,6 @@ class Aligner:
         pairs: Sequence[PairMatches],
         blurry: np.ndarray,
     ) -> Solution:
-        adjusted = calibrated.adjusted
         left = list(self._unreadable)
         aligned = set(index.tolist())
         for i, photo in enumerate(self._photos):
@@ -304,24 +303,12 @@ class Aligner:
                 left.append(
                     LeftOut(photo.path, "could not be joined to the block (too little overlap or texture)")
                 )
-        return Solution(
-            photos=tuple(photos),
-            lens=adjusted.state.lens,
-            free=adjusted.free,
-            covariance=adjusted.covariance,
-            rotations_cam_from_world=adjusted.state.rotations,
-            centres_m=adjusted.state.centres_m,
-            points_m=adjusted.state.points_m,
-            observations=calibrated.observations,
-            residuals_px=adjusted.residuals_px,
-            weights=adjusted.weights,
-            sigma0=adjusted.sigma0,
-            georeference=placement.georeference,
-            left_out=tuple(left),
-            photos_used=len(self._photos) + len(self._unreadable),
-            components=_components(len(self._photos), pairs, index),
-            converged=adjusted.converged,
-            iterations=adjusted.iterations,
+        return calibrated.solution(
+            photos,
+            placement.georeference,
+            _components(len(self._photos), pairs, index),
+            len(self._photos) + len(self._unreadable),
+            left,
         )
 
 

@@ -11,7 +11,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -25,7 +25,8 @@ from calib.align.tracks import select
 from calib.camera import BROWN_NAMES, FloatArray
 from calib.errors import AlignmentError
 from calib.field import LENS_NAMES
-from calib.solution import Observations
+from calib.photos.photo import LeftOut, Photo
+from calib.solution import Georeference, Observations, Solution
 
 #: Prior of the residual field's coefficients, in px at 4000 px image width.
 FIELD_SIGMA_PX = 0.5
@@ -100,6 +101,36 @@ class Calibrated:
     @property
     def observations(self) -> Observations:
         return self.adjustment.obs
+
+    def solution(
+        self,
+        photos: Sequence[Photo],
+        georeference: Georeference,
+        components: tuple[int, ...],
+        photos_used: int | None = None,
+        left_out: Sequence[LeftOut] = (),
+    ) -> Solution:
+        """The block as the solution of an alignment. ``photos_used``: given to it (default: ``photos``)."""
+        adjusted, state = self.adjusted, self.adjusted.state
+        return Solution(
+            photos=tuple(photos),
+            lens=state.lens,
+            free=adjusted.free,
+            covariance=adjusted.covariance,
+            rotations_cam_from_world=state.rotations,
+            centres_m=state.centres_m,
+            points_m=state.points_m,
+            observations=self.observations,
+            residuals_px=adjusted.residuals_px,
+            weights=adjusted.weights,
+            sigma0=adjusted.sigma0,
+            georeference=georeference,
+            left_out=tuple(left_out),
+            photos_used=len(photos) if photos_used is None else photos_used,
+            components=components,
+            converged=adjusted.converged,
+            iterations=adjusted.iterations,
+        )
 
 
 def noise_px(residuals: FloatArray) -> float:

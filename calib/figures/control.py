@@ -7,6 +7,7 @@ import plotly.graph_objects as go
 from plotly.subplots import make_subplots
 
 from calib.control import ControlCalibration
+from calib.figures.sensor import scale_sensor, sensor_with_counts
 from calib.figures.style import FLIGHT, FLIGHT_BAND, REFERENCE, float32, styled
 from calib.propagation import profile_px, profile_sigma_px
 
@@ -14,16 +15,7 @@ from calib.propagation import profile_px, profile_sigma_px
 def marks_figure(calibration: ControlCalibration) -> go.Figure:
     """All marks on the sensor with counts by column above and by row at the side ([SEN] fig. 4)."""
     camera, marks = calibration.camera, calibration.marks
-    figure = make_subplots(
-        rows=2,
-        cols=2,
-        shared_xaxes=True,
-        shared_yaxes=True,
-        column_widths=[0.8, 0.2],
-        row_heights=[0.22, 0.78],
-        horizontal_spacing=0.03,
-        vertical_spacing=0.03,
-    )
+    figure = sensor_with_counts()
     u, v = marks.pixels[calibration.used].T
     columns, rows = np.linspace(0, camera.width, 17), np.linspace(0, camera.height, 13)
     above, beside = np.histogram(u, columns)[0], np.histogram(v, rows)[0]
@@ -55,12 +47,7 @@ def marks_figure(calibration: ControlCalibration) -> go.Figure:
     for trace in figure.data:
         trace.showlegend = trace.type == "scatter"
     styled(figure, 500, bargap=0.08, meta={"ratio": 0.72, "extra": 170})
-    figure.update_xaxes(range=[0, camera.width], row=1, col=1)
-    figure.update_yaxes(range=[camera.height, 0], row=2, col=2)
-    figure.update_yaxes(showticklabels=False, ticks="", row=1, col=1)
-    figure.update_xaxes(showticklabels=False, ticks="", row=2, col=2)
-    figure.update_xaxes(title_text="column (px)", range=[0, camera.width], nticks=5, row=2, col=1)
-    figure.update_yaxes(title_text="row (px)", range=[camera.height, 0], nticks=5, row=2, col=1)
+    scale_sensor(figure, camera.width, camera.height)
     return figure
 
 

@@ -30,16 +30,7 @@ def coverage_figure(solution: Solution) -> go.Figure:
     pixels = solution.observations.pixels
     count, _, _ = np.histogram2d(pixels[:, 0], pixels[:, 1], bins=[x_edges, y_edges])
     x_mid, y_mid = (x_edges[1:] + x_edges[:-1]) / 2, (y_edges[1:] + y_edges[:-1]) / 2
-    figure = make_subplots(
-        rows=2,
-        cols=2,
-        shared_xaxes=True,
-        shared_yaxes=True,
-        column_widths=[0.8, 0.2],
-        row_heights=[0.22, 0.78],
-        horizontal_spacing=0.03,
-        vertical_spacing=0.03,
-    )
+    figure = sensor_with_counts()
     figure.add_bar(x=float32(x_mid), y=float32(count.sum(axis=1)), marker_color=REFERENCE, row=1, col=1)
     figure.add_heatmap(
         x=float32(x_mid),
@@ -55,14 +46,32 @@ def coverage_figure(solution: Solution) -> go.Figure:
         x=float32(count.sum(axis=0)), y=float32(y_mid), orientation="h", marker_color=REFERENCE, row=2, col=2
     )
     styled(figure, 460, showlegend=False, bargap=0.08, meta={"ratio": 0.72, "extra": 150})
-    # The counts at the sides show the shape; the colour bar has the numbers.
-    figure.update_xaxes(range=[0, brown.width], row=1, col=1)
-    figure.update_yaxes(range=[brown.height, 0], row=2, col=2)
+    scale_sensor(figure, brown.width, brown.height)
+    return figure
+
+
+def sensor_with_counts() -> go.Figure:
+    """An empty figure: the sensor below on the left, counts by column above it and by row at its side."""
+    return make_subplots(
+        rows=2,
+        cols=2,
+        shared_xaxes=True,
+        shared_yaxes=True,
+        column_widths=[0.8, 0.2],
+        row_heights=[0.22, 0.78],
+        horizontal_spacing=0.03,
+        vertical_spacing=0.03,
+    )
+
+
+def scale_sensor(figure: go.Figure, width: int, height: int) -> None:
+    """Axes of :func:`sensor_with_counts` in pixels; the counts show the shape only and go without numbers."""
+    figure.update_xaxes(range=[0, width], row=1, col=1)
+    figure.update_yaxes(range=[height, 0], row=2, col=2)
     figure.update_yaxes(showticklabels=False, ticks="", row=1, col=1)
     figure.update_xaxes(showticklabels=False, ticks="", row=2, col=2)
-    figure.update_xaxes(title_text="column (px)", range=[0, brown.width], nticks=5, row=2, col=1)
-    figure.update_yaxes(title_text="row (px)", range=[brown.height, 0], nticks=5, row=2, col=1)
-    return figure
+    figure.update_xaxes(title_text="column (px)", range=[0, width], nticks=5, row=2, col=1)
+    figure.update_yaxes(title_text="row (px)", range=[height, 0], nticks=5, row=2, col=1)
 
 
 def mean_residuals(solution: Solution, least: int = 5) -> tuple[FloatArray, FloatArray]:
