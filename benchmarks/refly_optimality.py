@@ -108,9 +108,10 @@ def outcome(seed: int) -> Outcome:
     case = flown_case(seed)
     rng = np.random.default_rng([seed, 68])
     search = PassSearch(case.planned, case.site, RETURN_M)
-    middle, ground, height = search.middle_m, search.ground_m, case.planned.height_agl_m
-    ring = circle(middle, ground, height, 35.0, 8, float(rng.uniform(0, 360))).stations
-    every = singles(middle, ground, height, search.tilts_deg, search.heights)
+    over = search.over
+    first_deg = float(rng.uniform(0, 360))
+    ring = circle(over.middle_m, over.ground_m, over.height_m, 35.0, 8, first_deg).stations
+    every = singles(over)
     picked = [
         *(ring[i] for i in rng.choice(8, 2, replace=False)),
         *(every[i] for i in rng.permutation(len(every))),

@@ -79,8 +79,17 @@ class _Wanted:
     quiet: bool
 
 
-@app.command()
-def wall(
+@app.command(
+    Kind.ORBIT,
+    help="Calibrate from any convergent flight. Exit code 0 accepted, 3 retake, 4 cannot tell.",
+)
+# Applied from below: the wall is listed first.
+@app.command(
+    Kind.WALL,
+    help="Calibrate on a flat wall, 20-30 convergent photos. Exit code 0 accepted, 3 retake, 4 cannot tell.",
+)
+def on_site(
+    context: typer.Context,
     photos: PhotosArgument,
     name: NameOption = None,
     out: OutOption = DEFAULT_OUT,
@@ -88,21 +97,9 @@ def wall(
     json_to: JsonOption = None,
     quiet: QuietOption = False,
 ) -> int:
-    """Calibrate on a flat wall, 20-30 convergent photos. Exit code 0 accepted, 3 retake, 4 cannot tell."""
-    return _calibrate(photos, Kind.WALL, _Wanted(name, out, temperature, json_to, quiet))
-
-
-@app.command()
-def orbit(
-    photos: PhotosArgument,
-    name: NameOption = None,
-    out: OutOption = DEFAULT_OUT,
-    temperature: TemperatureOption = None,
-    json_to: JsonOption = None,
-    quiet: QuietOption = False,
-) -> int:
-    """Calibrate from any convergent flight. Exit code 0 accepted, 3 retake, 4 cannot tell."""
-    return _calibrate(photos, Kind.ORBIT, _Wanted(name, out, temperature, json_to, quiet))
+    """Calibrate without control points, on what the command is named after."""
+    kind = Kind(str(context.command.name))
+    return _calibrate(photos, kind, _Wanted(name, out, temperature, json_to, quiet))
 
 
 def _calibrate(photos: list[Path], kind: Kind, wanted: _Wanted) -> int:

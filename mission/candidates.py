@@ -11,7 +11,7 @@ from calib.camera import FloatArray
 from calib.network_extension import Joint, PhotoPool, PhotoRows, joint_covariance, photo_rows
 from calib.network_views import angle_to_views_deg, seen_points, view_table
 from calib.solution import IntArray
-from mission.plan import Station, Vehicle
+from mission.plan import Station, Vehicle, looking_inwards
 from mission.planned_network import PlannedNetwork, poses
 from mission.route import Detours, Gap
 
@@ -164,17 +164,7 @@ def rings(middle_m: FloatArray, ground_m: float, height_m: float) -> list[list[S
         for tilt in (30.0, 40.0):
             radius = factor * height_m * math.tan(math.radians(tilt))
             for count in RING_PHOTOS:
-                found.append(
-                    [
-                        Station(
-                            float(middle_m[0] + radius * math.sin(a)),
-                            float(middle_m[1] + radius * math.cos(a)),
-                            ground_m + factor * height_m,
-                            (math.degrees(a) + 180.0) % 360.0,
-                            tilt - 90.0,
-                            PATTERN,
-                        )
-                        for a in 2 * math.pi * np.arange(count) / count
-                    ]
-                )
+                azimuth = 360.0 * np.arange(count) / count
+                up_m = ground_m + factor * height_m
+                found.append(list(looking_inwards(middle_m, up_m, radius, azimuth, tilt, PATTERN)))
     return found

@@ -120,6 +120,23 @@ def stations(plan: Plan) -> tuple[Station, ...]:
     return tuple(found)
 
 
+def looking_inwards(
+    middle_m: FloatArray, up_m: float, radius_m: float, azimuth_deg: FloatArray, tilt_deg: float, pattern: str
+) -> tuple[Station, ...]:
+    """Stations at azimuths (n,) from ``middle_m`` (2,), all at ``up_m``, looking back at it."""
+    return tuple(
+        Station(
+            float(middle_m[0] + radius_m * math.sin(math.radians(azimuth))),
+            float(middle_m[1] + radius_m * math.cos(math.radians(azimuth))),
+            up_m,
+            float((azimuth + 180.0) % 360.0),
+            tilt_deg - 90.0,
+            pattern,
+        )
+        for azimuth in azimuth_deg
+    )
+
+
 def stop(station: Station) -> Waypoint:
     """One photo from a standing aircraft."""
     return Waypoint(

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.camera import FloatArray
 from calib.evidence import CONVERGENT_DEG
-from mission.plan import Station, Vehicle
+from mission.plan import Station, Vehicle, looking_inwards
 
 PATTERN = "refly"
 #: A gimbal and an aircraft in the wind are off by this much; a photo has to count as convergent all the same.
@@ -61,6 +61,26 @@ def heights_for(height_m: float, highest_agl_m: float) -> tuple[float, ...]:
     return tuple(found)
 
 
+@dataclass(frozen=True)
+class Over:
+    """The place that passes are made over, and what they may be made of.
+
+    middle_m (2,), ``ground_m`` there, ``height_m`` of the survey above it. ``tilts_deg`` off nadir, rising;
+    ``heights`` as factors of the survey's.
+    """
+
+    middle_m: FloatArray
+    ground_m: float
+    height_m: float
+    tilts_deg: tuple[float, ...]
+    heights: tuple[float, ...]
+
+    @property
+    def towards_launch_deg(self) -> float:
+        """Azimuth of the launch point (the frame's origin) from the middle."""
+        return math.degrees(math.atan2(-self.middle_m[0], -self.middle_m[1]))
+
+
 def circle(
     middle_m: FloatArray,
     ground_m: float,
@@ -74,33 +94,17 @@ def circle(
     radius = height_agl_m * math.tan(math.radians(tilt_deg))
     whole = arc_deg >= 360.0
     steps = np.arange(photos) / photos * 360.0 if whole else np.linspace(-0.5, 0.5, photos) * arc_deg
-    stations = tuple(
-        Station(
-            float(middle_m[0] + radius * math.sin(math.radians(azimuth))),
-            float(middle_m[1] + radius * math.cos(math.radians(azimuth))),
-            ground_m + height_agl_m,
-            float((azimuth + 180.0) % 360.0),
-            tilt_deg - 90.0,
-            PATTERN,
-        )
-        for azimuth in first_deg + steps
-    )
-    return Shape("orbit" if whole else "arc", stations, radius, ground_m + height_agl_m, tilt_deg)
+    up_m = ground_m + height_agl_m
+    stations = looking_inwards(middle_m, up_m, radius, first_deg + steps, tilt_deg, PATTERN)
+    return Shape("orbit" if whole else "arc", stations, radius, up_m, tilt_deg)
 
 
-def orbits(
-    middle_m: FloatArray,
-    ground_m: float,
-    height_m: float,
-    tilts_deg: tuple[float, ...],
-    heights: tuple[float, ...],
-) -> list[Shape]:
+def orbits(over: Over) -> list[Shape]:
     """Circles of all heights, the larger tilts, all numbers; the first station is the launch point's side."""
-    towards = math.degrees(math.atan2(-middle_m[0], -middle_m[1]))
     return [
-        circle(middle_m, ground_m, factor * height_m, tilt, count, towards)
-        for factor in heights
-        for tilt in tilts_deg[-2:]
+        circle(over.middle_m, over.ground_m, factor * over.height_m, tilt, count, over.towards_launch_deg)
+        for factor in over.heights
+        for tilt in over.tilts_deg[-2:]
         for count in CIRCLE_PHOTOS
     ]
 
@@ -110,20 +114,14 @@ def paper_fan(middle_m: FloatArray, ground_m: float, height_m: float) -> Shape:
     return circle(middle_m, ground_m, height_m, PAPER_TILT_DEG, PAPER_PHOTOS)
 
 
-def arcs(
-    middle_m: FloatArray,
-    ground_m: float,
-    height_m: float,
-    tilts_deg: tuple[float, ...],
-    heights: tuple[float, ...],
-) -> list[Shape]:
+def arcs(over: Over) -> list[Shape]:
     """Parts of circles on the launch point's side, and on the other three."""
-    towards = math.degrees(math.atan2(-middle_m[0], -middle_m[1]))
+    towards = over.towards_launch_deg
     return [
-        circle(middle_m, ground_m, factor * height_m, tilt, count, towards + side, ARC_DEG)
+        circle(over.middle_m, over.ground_m, factor * over.height_m, tilt, count, towards + side, ARC_DEG)
         for side in (0.0, 90.0, -90.0, 180.0)
-        for factor in _middle(heights)
-        for tilt in tilts_deg[-2:]
+        for factor in _middle(over.heights)
+        for tilt in over.tilts_deg[-2:]
         for count in ARC_PHOTOS
     ]
 
@@ -155,27 +153,21 @@ def strips(middle_m: FloatArray, ground_m: float, height_m: float, along_deg: fl
     return found
 
 
-def singles(
-    middle_m: FloatArray,
-    ground_m: float,
-    height_m: float,
-    tilts_deg: tuple[float, ...],
-    heights: tuple[float, ...],
-) -> list[Station]:
+def singles(over: Over) -> list[Station]:
     """Photos on a grid of places, heights, directions and tilts that look at the ground around the middle."""
     found = []
     steps = np.arange(-2, 3) * 0.6
-    for factor in _middle(heights):
+    for factor in _middle(over.heights):
         for x in steps:
             for y in steps:
-                for tilt in tilts_deg:
+                for tilt in over.tilts_deg:
                     reach = factor * math.tan(math.radians(tilt))
                     for yaw in range(0, 360, 45):
                         turn = math.radians(yaw)
                         aim = math.hypot(x + reach * math.sin(turn), y + reach * math.cos(turn))
                         if aim <= 0.5:
-                            east, north = middle_m + height_m * np.array([x, y])
-                            up = ground_m + factor * height_m
+                            east, north = over.middle_m + over.height_m * np.array([x, y])
+                            up = over.ground_m + factor * over.height_m
                             found.append(
                                 Station(float(east), float(north), up, float(yaw), tilt - 90.0, PATTERN)
                             )

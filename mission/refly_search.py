@@ -22,6 +22,7 @@ from mission.refly_passes import (
     AIM_DEG,
     LEAST_HEIGHT,
     MOST_TILT_DEG,
+    Over,
     Shape,
     arcs,
     heights_for,
@@ -164,15 +165,19 @@ class PassSearch:
 
     def fill(self) -> None:
         """Put every candidate that is allowed into the pool."""
-        middle, ground, height = self.middle_m, self.ground_m, self.planned.height_agl_m
-        if self.tilts_deg:
-            given = (middle, ground, height, self.tilts_deg, self.heights)
-            self._add_shapes([*orbits(*given), paper_fan(middle, ground, height)])
-            self._add_shapes(arcs(*given))
-            self.candidates.add(singles(*given))
+        over = self.over
+        place = (over.middle_m, over.ground_m, over.height_m)
+        if over.tilts_deg:
+            self._add_shapes([*orbits(over), paper_fan(*place)])
+            self._add_shapes(arcs(over))
+            self.candidates.add(singles(over))
         else:
-            along = line_direction_deg(self.planned)
-            self._add_shapes(strips(middle, ground, height, along))
+            self._add_shapes(strips(*place, line_direction_deg(self.planned)))
+
+    @property
+    def over(self) -> Over:
+        """The place, and what passes over it may be made of."""
+        return Over(self.middle_m, self.ground_m, self.planned.height_agl_m, self.tilts_deg, self.heights)
 
     def alike(self, one: int, other: int) -> bool:
         """Whether two candidates look the same way from nearly the same place: one fault would spoil both."""

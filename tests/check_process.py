@@ -11,7 +11,7 @@ import subprocess
 import sys
 import time
 from collections.abc import Callable, Iterator, Sequence
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -85,12 +85,15 @@ def check(home: Path, *arguments: str | Path, timeout_s: float = 300, **options:
 
 
 @contextmanager
-def running(home: Path, *arguments: str | Path) -> Iterator[subprocess.Popen[bytes]]:
-    """`fieldcal check` at work, leader of a process group and session of its own."""
+def started(home: Path, words: Sequence[str], **more: str) -> Iterator[subprocess.Popen[bytes]]:
+    """A command at work in ``home``, leader of a process group and session of its own, killed at the end.
+
+    ``more``: environment on top of the tests' own.
+    """
     process = subprocess.Popen(
-        command(*arguments),
+        words,
         cwd=home,
-        env=environment(home),
+        env=environment(home, **more),
         stdin=subprocess.DEVNULL,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -102,6 +105,11 @@ def running(home: Path, *arguments: str | Path) -> Iterator[subprocess.Popen[byt
         for pid in session(process.pid):
             os.kill(pid, signal.SIGKILL)
         process.communicate()
+
+
+def running(home: Path, *arguments: str | Path) -> AbstractContextManager[subprocess.Popen[bytes]]:
+    """`fieldcal check` at work."""
+    return started(home, command(*arguments))
 
 
 def ended(process: subprocess.Popen[bytes], timeout_s: float = 120) -> Ran:

@@ -92,8 +92,7 @@ def test_nobody_there_is_said_and_tried_again() -> None:
         with pytest.raises(NoVehicleError, match="connection refused"):
             link.wait_for_vehicle(0.3)
         with socket.create_server(("127.0.0.1", port)):
-            until(lambda: link.health.open)
-        assert link.health.fault is None
+            until(lambda: link.health.open and link.health.fault is None)
 
 
 def test_what_cannot_work_is_said_at_once(tmp_path: Path) -> None:

@@ -11,13 +11,12 @@ import socket
 import subprocess
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from check_process import environment, session, wait_for, worker
+from check_process import ended, environment, session, started, wait_for, worker
 
 from calib.photos.photo import Photo
 from daemon.session.reader import SessionReader
@@ -32,33 +31,22 @@ def arguments(*words: str | Path) -> list[str]:
     return [sys.executable, "-m", "daemon.cli", *map(str, words)]
 
 
-def surroundings(home: Path) -> dict[str, str]:
-    return environment(home, FIELDCAL_SESSIONS=str(home / "sessions"), XDG_DATA_HOME=str(home / "data"))
+def folders(home: Path) -> dict[str, str]:
+    return {"FIELDCAL_SESSIONS": str(home / "sessions"), "XDG_DATA_HOME": str(home / "data")}
 
 
-@contextmanager
-def started(home: Path, *words: str | Path) -> Iterator[subprocess.Popen[str]]:
-    process = subprocess.Popen(
-        arguments(*words),
-        cwd=home,
-        env=surroundings(home),
-        stdin=subprocess.DEVNULL,
-        stdout=subprocess.PIPE,
-        stderr=subprocess.PIPE,
-        text=True,
-        start_new_session=True,
-    )
-    try:
-        yield process
-    finally:
-        for pid in session(process.pid):
-            os.kill(pid, signal.SIGKILL)
-        process.communicate()
+def working(home: Path, *words: str | Path) -> AbstractContextManager[subprocess.Popen[bytes]]:
+    return started(home, arguments(*words), **folders(home))
 
 
 def fieldcal(home: Path, *words: str | Path) -> subprocess.CompletedProcess[str]:
     done = subprocess.run(
-        arguments(*words), cwd=home, env=surroundings(home), capture_output=True, text=True, check=False
+        arguments(*words),
+        cwd=home,
+        env=environment(home, **folders(home)),
+        capture_output=True,
+        text=True,
+        check=False,
     )
     assert "Traceback" not in done.stderr, done.stderr
     return done
@@ -118,7 +106,7 @@ def test_photos_in_any_order_end_in_the_verdict_of_the_check(
         probe.bind(("127.0.0.1", 0))
         endpoint = f"tcp/127.0.0.1:{probe.getsockname()[1]}"
     run = ("run", "--photos", folder, "--listen", endpoint, "--vehicle", "P3P one", "--idle", "0")
-    with started(tmp_path, *run, "--allow-commands") as process:
+    with working(tmp_path, *run, "--allow-commands") as process:
         for photo in reversed(photos):
             shutil.copy(photo, folder)
         wait_for(lambda: (tmp_path / "sessions").exists() and recorded(tmp_path) == len(photos), 120)
@@ -130,7 +118,8 @@ def test_photos_in_any_order_end_in_the_verdict_of_the_check(
         assert process.poll() is None
         told = fieldcal(tmp_path, "status", "p3p-one", "--connect", endpoint, "--finish")
         assert "final verdict" in told.stdout, told.stderr
-        out, err = process.communicate(timeout=240)
+        ended_as = ended(process, 240)
+        out, err = ended_as.out, ended_as.err
     assert process.returncode == checked[2], err
     assert err == ""
     record = the_session(tmp_path)
@@ -144,13 +133,15 @@ def test_photos_in_any_order_end_in_the_verdict_of_the_check(
     assert "Nobody answers" in nobody.stderr
 
 
-def _work_for_a_while(home: Path, process: subprocess.Popen[str], rng: random.Random, at_least: int) -> None:
+def _work_for_a_while(
+    home: Path, process: subprocess.Popen[bytes], rng: random.Random, at_least: int
+) -> None:
     wait_for(lambda: (home / "sessions").exists() and recorded(home) >= at_least, 120)
     wait_for(lambda: worker(process.pid) or process.poll() is not None, 120)
     time.sleep(rng.random() * 1.5)
 
 
-def _gone(process: subprocess.Popen[str]) -> None:
+def _gone(process: subprocess.Popen[bytes]) -> None:
     """The child notices soon that its parent is dead."""
     wait_for(lambda: not session(process.pid), 60)
 
@@ -164,7 +155,7 @@ def test_kill_9_of_daemon_and_child_changes_nothing(checked: Checked, tmp_path: 
     acknowledged = 0
     for kill in range(KILLS):
         command = [str(word) for word in (first if kill == 0 else again)]
-        with started(tmp_path, *command) as process:
+        with working(tmp_path, *command) as process:
             _work_for_a_while(tmp_path, process, rng, at_least=min(kill + 1, 4))
             os.kill(process.pid, signal.SIGKILL)
             process.wait(20)
@@ -172,12 +163,13 @@ def test_kill_9_of_daemon_and_child_changes_nothing(checked: Checked, tmp_path: 
         now = recorded(tmp_path)
         assert now >= acknowledged, f"kill {kill} lost photos"
         acknowledged = now
-    with started(tmp_path, *[str(word) for word in again]) as process:
+    with working(tmp_path, *[str(word) for word in again]) as process:
         pid = wait_for(lambda: worker(process.pid) or process.poll() is not None, 120)
         if pid is not True:
             time.sleep(rng.random())
             os.kill(pid, signal.SIGKILL)
-        out, err = process.communicate(timeout=240)
+        ended_as = ended(process, 240)
+        out, err = ended_as.out, ended_as.err
     assert process.returncode == checked[2], err
     assert "Traceback" not in err
     assert what_counts(the_session(tmp_path) / "report.json") == checked[1]
@@ -216,11 +208,11 @@ def test_what_cannot_be_done_is_refused_in_a_sentence(
 
 def test_an_empty_folder_gives_no_verdict_but_a_flight_to_go_on_with(tmp_path: Path) -> None:
     (tmp_path / "hot").mkdir()
-    with started(tmp_path, "run", "--photos", "hot", "--no-live") as process:
+    with working(tmp_path, "run", "--photos", "hot", "--no-live") as process:
         wait_for(lambda: (tmp_path / "sessions").exists() and list((tmp_path / "sessions").iterdir()), 60)
         time.sleep(1)
         process.send_signal(signal.SIGINT)
-        _, err = process.communicate(timeout=60)
+        err = ended(process, 60).err
     assert process.returncode == 2
     assert "There are no photos in" in err
     listed = fieldcal(tmp_path, "sessions", "list")

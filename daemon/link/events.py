@@ -93,22 +93,15 @@ class PhotoSource(StrEnum):
     CAPTURED = "captured"  # CAMERA_IMAGE_CAPTURED, PX4 or a camera component
 
 
-@dataclass(frozen=True)
-class PhotoReport:
-    """One message about one photo. One photo may be reported several times and by several sources:
-    :class:`daemon.link.triggers.TriggerFilter` counts photos.
+@dataclass(frozen=True, kw_only=True)
+class PhotoFacts:
+    """What may be known of a photo, besides its time.
 
-    ``index``: the source's own number. ``vehicle``: the aircraft's angles, never the gimbal's;
-    ``camera``: the camera's. ``height_m`` above home. ``confirmed``: the camera itself says that the
-    photo was taken (True) or failed (False). ``url``: where the file can be fetched.
+    ``vehicle``: the aircraft's angles, never the gimbal's; ``camera``: the camera's. ``height_m`` above
+    home. ``confirmed``: the camera itself says that the photo was taken (True) or failed (False).
+    ``url``: where the file can be fetched.
     """
 
-    source: PhotoSource
-    component_id: int
-    camera: int
-    index: int
-    vehicle_boot_s: float | None
-    utc_s: float | None
     latitude_deg: float | None = None
     longitude_deg: float | None = None
     altitude_msl_m: float | None = None
@@ -118,6 +111,20 @@ class PhotoReport:
     completed: int | None = None
     confirmed: bool | None = None
     url: str = ""
+
+
+@dataclass(frozen=True)
+class PhotoReport(PhotoFacts):
+    """One message about one photo. One photo may be reported several times and by several sources:
+    :class:`daemon.link.triggers.TriggerFilter` counts photos. ``index``: the source's own number.
+    """
+
+    source: PhotoSource
+    component_id: int
+    camera: int
+    index: int
+    vehicle_boot_s: float | None
+    utc_s: float | None
 
 
 class MissionState(StrEnum):

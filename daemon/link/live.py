@@ -15,10 +15,9 @@ import threading
 import time
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
-from types import TracebackType
-from typing import Self
 
 from calib.errors import InputError
+from daemon.closing import Closing
 from daemon.link import allowed, wire
 from daemon.link.address import Address, Kind
 from daemon.link.forward import Forward
@@ -70,7 +69,7 @@ def steady_clock() -> Callable[[], float]:
     return lambda: start_s + (time.monotonic() - start)
 
 
-class Link:
+class Link(Closing):
     """Context manager. Attributes may be read from any thread.
 
     Args:
@@ -213,14 +212,6 @@ class Link:
         self._thread.join(5)
         os.close(self._wake_read)
         os.close(self._wake_write)
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def _wake(self) -> None:
         os.write(self._wake_write, b"x")

@@ -4,14 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
+from daemon.closing import Closing
 from daemon.link.state import Heard, LinkState
 from daemon.link.tlog import read_log
 
 
-class Replay:
+class Replay(Closing):
     """Reads as fast as it is asked. Two replays of one log are equal, and equal to the flight itself.
 
     Raises (while it runs):
@@ -43,11 +42,3 @@ class Replay:
 
     def close(self) -> None:
         self._closed = True
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()

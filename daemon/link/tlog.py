@@ -8,11 +8,10 @@ import os
 import struct
 from collections.abc import Iterator
 from pathlib import Path
-from types import TracebackType
-from typing import Self
 
 from calib.errors import FormatError, InputError
 from calib.files import output_errors
+from daemon.closing import Closing
 from daemon.link.wire import Frame, Splitter
 
 _STAMP = struct.Struct(">Q")
@@ -21,7 +20,7 @@ _LEAST_BYTES = 8
 _EARLIEST_US, _LATEST_US = 10**15, 4 * 10**15
 
 
-class LogWriter:
+class LogWriter(Closing):
     """Appends to a log. Each frame is handed to the system at once: killing this process loses none.
 
     A full disk never stops the link: :attr:`fault` says what is wrong, and frames are left out until
@@ -60,14 +59,6 @@ class LogWriter:
         if self._file >= 0:
             os.close(self._file)
             self._file = -1
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
 
 def read_log(path: Path) -> Iterator[tuple[int, Frame]]:

@@ -8,6 +8,7 @@ lost, late or doubled: each exchange repeats what is not answered and gives up a
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass, field
 from enum import IntEnum
@@ -58,6 +59,41 @@ class Exchange(Protocol):
     def tick(self, now_s: float) -> list[Outgoing]: ...
 
 
+class _Repeating(ABC):
+    """Says its question again while it is not answered, and gives up after a silence.
+
+    ``_heard_s``: when the vehicle last answered (at first: when it was first asked).
+    """
+
+    patience: Patience
+    over: bool
+    _heard_s: float
+    _said_s: float
+
+    def start(self, now_s: float) -> list[Outgoing]:
+        self._heard_s = now_s
+        return self._ask(now_s)
+
+    def tick(self, now_s: float) -> list[Outgoing]:
+        if self.over:
+            return []
+        if now_s - self._heard_s > self.patience.silence_s:
+            self.over = True
+            return []
+        return self._ask(now_s) if self._open() and now_s - self._said_s > self.patience.repeat_s else []
+
+    def _ask(self, now_s: float) -> list[Outgoing]:
+        self._said_s = now_s
+        return self._question()
+
+    def _open(self) -> bool:
+        """Whether it is for us to say something."""
+        return True
+
+    @abstractmethod
+    def _question(self) -> list[Outgoing]: ...
+
+
 def _for_us(message: Message, kind: Kind) -> bool:
     to_us = (message.integer("target_system"), message.integer("target_component")) == (
         SYSTEM_ID,
@@ -67,7 +103,7 @@ def _for_us(message: Message, kind: Kind) -> bool:
 
 
 @dataclass
-class Upload:
+class Upload(_Repeating):
     """``items`` -> vehicle. ``sent``: items that it has asked for. ``result``: None while under way or after
     silence, else MAV_MISSION_RESULT; 0 is accepted."""
 
@@ -87,10 +123,6 @@ class Upload:
         """Number of the item asked for last."""
         return self.sent - 1
 
-    def start(self, now_s: float) -> list[Outgoing]:
-        self._heard_s = now_s
-        return self._count(now_s)
-
     def receive(self, message: Message, now_s: float) -> list[Outgoing]:
         if self.over or not _for_us(message, self.kind):
             return []
@@ -100,19 +132,11 @@ class Upload:
             self._acknowledged(message.integer("type"), now_s)
         return []
 
-    def tick(self, now_s: float) -> list[Outgoing]:
-        if self.over:
-            return []
-        if now_s - self._heard_s > self.patience.silence_s:
-            self.over = True
-            return []
+    def _open(self) -> bool:
         # Once it asks for items it repeats its questions by itself.
-        if self.sent == 0 and now_s - self._said_s > self.patience.repeat_s:
-            return self._count(now_s)
-        return []
+        return self.sent == 0
 
-    def _count(self, now_s: float) -> list[Outgoing]:
-        self._said_s = now_s
+    def _question(self) -> list[Outgoing]:
         return [mavlink.MAVLink_mission_count_message(*self._to, len(self.items), int(self.kind))]
 
     def _give(self, number: int, now_s: float) -> list[Outgoing]:
@@ -138,7 +162,7 @@ class Upload:
 
 
 @dataclass
-class Download:
+class Download(_Repeating):
     """Vehicle -> ``items``, complete when ``ok``. ``count`` None until told."""
 
     system_id: int
@@ -151,10 +175,6 @@ class Download:
     items: list[Item] = field(default_factory=list)
     _heard_s: float = 0.0
     _said_s: float = 0.0
-
-    def start(self, now_s: float) -> list[Outgoing]:
-        self._heard_s = now_s
-        return self._ask(now_s)
 
     def receive(self, message: Message, now_s: float) -> list[Outgoing]:
         if self.over or not _for_us(message, self.kind):
@@ -173,16 +193,7 @@ class Download:
             self.over, self.result = True, message.integer("type")
         return []
 
-    def tick(self, now_s: float) -> list[Outgoing]:
-        if self.over:
-            return []
-        if now_s - self._heard_s > self.patience.silence_s:
-            self.over = True
-            return []
-        return self._ask(now_s) if now_s - self._said_s > self.patience.repeat_s else []
-
-    def _ask(self, now_s: float) -> list[Outgoing]:
-        self._said_s = now_s
+    def _question(self) -> list[Outgoing]:
         to = (self.system_id, _AUTOPILOT)
         if self.count is None:
             return [mavlink.MAVLink_mission_request_list_message(*to, int(self.kind))]
@@ -194,7 +205,7 @@ class Download:
 
 
 @dataclass
-class Clear:
+class Clear(_Repeating):
     """The vehicle forgets its mission or fence."""
 
     system_id: int
@@ -202,12 +213,8 @@ class Clear:
     patience: Patience = field(default_factory=Patience)
     over: bool = False
     result: int | None = None
-    _began_s: float = 0.0
+    _heard_s: float = 0.0
     _said_s: float = 0.0
-
-    def start(self, now_s: float) -> list[Outgoing]:
-        self._began_s = now_s
-        return self._ask(now_s)
 
     def receive(self, message: Message, now_s: float) -> list[Outgoing]:
         del now_s
@@ -215,21 +222,12 @@ class Clear:
             self.over, self.result = True, message.integer("type")
         return []
 
-    def tick(self, now_s: float) -> list[Outgoing]:
-        if self.over:
-            return []
-        if now_s - self._began_s > self.patience.silence_s:
-            self.over = True
-            return []
-        return self._ask(now_s) if now_s - self._said_s > self.patience.repeat_s else []
-
-    def _ask(self, now_s: float) -> list[Outgoing]:
-        self._said_s = now_s
+    def _question(self) -> list[Outgoing]:
         return [mavlink.MAVLink_mission_clear_all_message(self.system_id, _AUTOPILOT, int(self.kind))]
 
 
 @dataclass
-class ReadParameters:
+class ReadParameters(_Repeating):
     """Settings of the autopilot by name; those it does not have stay unanswered. ``found`` as it sent them
     (:class:`daemon.link.state.LinkState` holds their values)."""
 
@@ -241,10 +239,6 @@ class ReadParameters:
     _heard_s: float = 0.0
     _said_s: float = 0.0
 
-    def start(self, now_s: float) -> list[Outgoing]:
-        self._heard_s = now_s
-        return self._ask(now_s)
-
     def receive(self, message: Message, now_s: float) -> list[Outgoing]:
         if message.name == "PARAM_VALUE" and message.text("param_id") in self.names:
             self.found.add(message.text("param_id"))
@@ -252,19 +246,12 @@ class ReadParameters:
             self.over = len(self.found) == len(self.names)
         return []
 
-    def tick(self, now_s: float) -> list[Outgoing]:
-        if now_s - self._heard_s > self.patience.silence_s:
-            self.over = True
-        again = not self.over and now_s - self._said_s > self.patience.repeat_s
-        return self._ask(now_s) if again else []
-
-    def _ask(self, now_s: float) -> list[Outgoing]:
-        self._said_s = now_s
+    def _question(self) -> list[Outgoing]:
         return [read_parameter(self.system_id, name) for name in self.names if name not in self.found]
 
 
 @dataclass
-class AskMessage:
+class AskMessage(_Repeating):
     """One message that the autopilot sends only when asked. ``came``: it did."""
 
     system_id: int
@@ -272,12 +259,8 @@ class AskMessage:
     patience: Patience = field(default_factory=lambda: Patience(0.7, 3.0))
     over: bool = False
     came: bool = False
-    _began_s: float = 0.0
+    _heard_s: float = 0.0
     _said_s: float = 0.0
-
-    def start(self, now_s: float) -> list[Outgoing]:
-        self._began_s = now_s
-        return self._ask(now_s)
 
     def receive(self, message: Message, now_s: float) -> list[Outgoing]:
         del now_s
@@ -285,14 +268,7 @@ class AskMessage:
             self.over = self.came = True
         return []
 
-    def tick(self, now_s: float) -> list[Outgoing]:
-        if now_s - self._began_s > self.patience.silence_s:
-            self.over = True
-        again = not self.over and now_s - self._said_s > self.patience.repeat_s
-        return self._ask(now_s) if again else []
-
-    def _ask(self, now_s: float) -> list[Outgoing]:
-        self._said_s = now_s
+    def _question(self) -> list[Outgoing]:
         return [ask_message(self.system_id, self.name)]
 
 

@@ -13,7 +13,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field, fields, replace
 
-from daemon.link.events import Angles, PhotoReport, PhotoSource
+from daemon.link.events import PhotoFacts, PhotoReport, PhotoSource
 
 #: Two sources' times of one photo differ by less (shutter lag), in one clock. Until the numbers are
 #: known to run in step, photos closer together than twice this can be mistaken where messages are lost.
@@ -31,11 +31,10 @@ IN_STEP = 2
 
 
 @dataclass(frozen=True)
-class Trigger:
+class Trigger(PhotoFacts):
     """One photo as known so far. ``number`` counts from 1 in the order of first hearing; ``revision``
     grows when a later report adds something. ``heard_s``: receiver's clock, of the first report.
     ``indices``: the number that each source gave. ``confirmed``: None until a camera says so.
-    Other fields as in :class:`PhotoReport`.
     """
 
     number: int
@@ -45,21 +44,12 @@ class Trigger:
     camera: int
     vehicle_boot_s: float | None
     utc_s: float | None
-    latitude_deg: float | None = None
-    longitude_deg: float | None = None
-    altitude_msl_m: float | None = None
-    height_m: float | None = None
-    vehicle_angles: Angles | None = None
-    camera_angles: Angles | None = None
-    completed: int | None = None
-    confirmed: bool | None = None
-    url: str = ""
 
     def index(self, source: PhotoSource) -> int | None:
         return dict(self.indices).get(source)
 
 
-_SHARED = tuple({f.name for f in fields(Trigger)} & {f.name for f in fields(PhotoReport)} - {"camera"})
+_SHARED = ("vehicle_boot_s", "utc_s", *(f.name for f in fields(PhotoFacts)))
 _Key = tuple[int, PhotoSource, int, int, int]
 _Stream = tuple[PhotoSource, int, int]
 

@@ -11,12 +11,11 @@ import time
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from types import TracebackType
-from typing import Self
 
 import zenoh
 
 from calib.errors import FieldcalError
+from daemon.closing import Closing
 from daemon.live.answers import Answer, Answers
 from daemon.live.commands import Commands
 from daemon.live.network import leave, open_for_daemon
@@ -34,7 +33,7 @@ class _Last:
     sent_s: float = field(default=-1e9)
 
 
-class Bus:
+class Bus(Closing):
     """Publishes for one vehicle, from a thread of its own, until it is closed.
 
     Args:
@@ -75,14 +74,6 @@ class Bus:
             raise
         self._thread = threading.Thread(target=self._run, name="live status", daemon=True)
         self._thread.start()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def tell(self, message: Message) -> None:
         """Have a message sent, at once or as soon as its topic may again; never waits."""

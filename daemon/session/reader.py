@@ -9,9 +9,9 @@ import threading
 from collections.abc import Iterator
 from contextlib import closing, contextmanager
 from pathlib import Path
-from types import TracebackType
-from typing import Any, Self, TypeVar
+from typing import Any, TypeVar
 
+from daemon.closing import Closing
 from daemon.session.database import connect_reader, damaged, database_errors
 from daemon.session.rows import (
     ClockName,
@@ -34,7 +34,7 @@ from daemon.session.rows import (
 T = TypeVar("T")
 
 
-class SessionReader:
+class SessionReader(Closing):
     """The record of one flight, read-only. Each call sees one consistent state, the newest.
 
     Every method raises InputError for a damaged database and OutputError for a failing disk.
@@ -59,14 +59,6 @@ class SessionReader:
     def close(self) -> None:
         with self._mutex:
             self._connection.close()
-
-    def __enter__(self) -> Self:
-        return self
-
-    def __exit__(
-        self, kind: type[BaseException] | None, error: BaseException | None, trace: TracebackType | None
-    ) -> None:
-        self.close()
 
     def flight(self) -> Flight:
         (row,) = self._rows("SELECT name, recorded_us FROM flight")

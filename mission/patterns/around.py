@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import math
+from dataclasses import replace
 
 import numpy as np
 import shapely
@@ -10,7 +11,7 @@ import shapely
 from calib.camera import FloatArray
 from calib.errors import InputError
 from mission.patterns.piece import Part, Piece
-from mission.plan import Station, stop
+from mission.plan import Station, looking_inwards, stop
 from mission.site import FAN_TILT_DEG, ORBIT_TILT_DEG, Site
 
 ORBIT_PHOTOS = 24
@@ -90,14 +91,11 @@ def ring_stations(
     where the ground under them is higher, above that.
     """
     above = site.height_m if height_m is None else height_m
-    a = np.radians(azimuth_deg)
-    east, north = middle_m[0] + radius_m * np.sin(a), middle_m[1] + radius_m * np.cos(a)
     level = site.ground_m(*middle_m) + above
+    ring = looking_inwards(np.array(middle_m), level, radius_m, azimuth_deg, tilt_deg, pattern)
+    east, north = np.array([s.east_m for s in ring]), np.array([s.north_m for s in ring])
     heights = np.maximum(level, site.terrain.height_m(east, north) + min(site.clearance_m * 1.5, above))
-    return [
-        Station(float(e), float(n), float(h), float((z + 180) % 360), tilt_deg - 90, pattern)
-        for e, n, h, z in zip(east, north, heights, azimuth_deg, strict=True)
-    ]
+    return [replace(s, height_m=float(h)) for s, h in zip(ring, heights, strict=True)]
 
 
 def allowed(site: Site, stations: list[Station]) -> list[Station]:
