@@ -27,8 +27,8 @@ from mission.terrain_height import Terrain
 
 #: How much larger errors are than formal sigmas say, for what the lens model does not contain.
 #: Source: benchmarks/honest_sigma.md, "Errors that the lens model does not contain", the convergent
-#: rows: reported over formal sigma is 1.0 (none, aspect, pattern, rolling shutter) to 2.9 (correlated
-#: noise), root mean square 1.57 over five rows of 4 surveys each; to be renewed with a larger campaign.
+#: rows: reported over formal sigma is 1.0 (none, aspect, pattern), 1.1 (rolling shutter) and 2.7
+#: (correlated noise), root mean square 1.5 over the five rows of 8 surveys each.
 MODEL_ERROR_FACTOR = 1.5
 #: Blocks of more photos are thinned; the photos kept stand for their neighbours, with their weight.
 MANY_PHOTOS = 1000
