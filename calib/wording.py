@@ -39,6 +39,9 @@ RULE_TITLES = {
     "model-sensitivity": "Different lens models agree",
     "coverage": "Tie points cover the sensor",
     "alignment": "Alignment of the photos",
+    "reference-fit": "The photos agree with the reference",
+    "radial-residuals": "Residuals that point inwards or outwards",
+    "position-dome": "Dome or dish against the measured positions",
 }
 #: The same for the rules of calibrating on site.
 CALIBRATION_TITLES = {
