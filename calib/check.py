@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import resource
 import time
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field
 from pathlib import Path
 
@@ -32,15 +32,21 @@ class Options:
     settings: Settings = field(default_factory=Settings)
 
 
-def read_set(paths: Sequence[Path], progress: Progress) -> Sorted:
+def read_set(
+    paths: Sequence[Path],
+    progress: Progress,
+    complete: Callable[[Sequence[Photo]], Sequence[Photo]] | None = None,
+) -> Sorted:
     """The photos of one flight of one camera among files and folders.
+
+    ``complete``: fills in what is known of the photos besides their files.
 
     Raises:
         InputError: nothing usable; one sentence.
     """
     files = collect(paths)
     photos, bad = read_photos(files, lambda done: progress("reading metadata", done, len(files)))
-    return sort_photos(photos, bad)
+    return sort_photos(photos if complete is None else complete(photos), bad)
 
 
 def choose_reference(photo: Photo, wanted: str | None) -> tuple[Reference | None, str]:
