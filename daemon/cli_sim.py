@@ -2,26 +2,24 @@
 
 from __future__ import annotations
 
-import re
 import sys
-import time
 from dataclasses import replace
 from enum import StrEnum
 from functools import partial
 from pathlib import Path
-from typing import Annotated, Literal
+from typing import Annotated
 
 import typer
 
 from calib.errors import InputError, OutputError
 from calib.files import output_errors, output_folder
-from calib.frames import LocalFrame
 from calib.photos.photo import Processing
 from calib.reference_file import write_reference_file
 from calib.wording import path_text, printable
+from daemon.cli_sim_flight import LARGEST_SEED, LENS_FILE, camera, vehicle
 from daemon.output import console, table
 from daemon.progress import progress_line
-from sim.cameras import CAMERAS, CameraModel, find_camera
+from sim.cameras import CAMERAS, find_camera
 from sim.gps import GpsKind
 from sim.recipes import RECIPES, Recipe, find_recipe
 from sim.survey import (
@@ -33,12 +31,8 @@ from sim.survey import (
     write_survey,
 )
 
-#: The true lens as a reference for `fieldcal check`.
-LENS_FILE = "true-lens.json"
 #: What a correction in the camera leaves, where nothing else is asked for (px at 4000 px width).
 LEFT_BY_CORRECTION_PX = 1.5
-_LARGEST_SEED = 2**31 - 1
-_SIZE = re.compile(r"([0-9]{1,6})[xX×]([0-9]{1,6})")
 
 app = typer.Typer(
     help="Render surveys over invented ground, with the truth beside them.",
@@ -78,65 +72,8 @@ def list_recipes() -> None:
     console().print("* another number with --photos")
 
 
-@app.command("vehicle")
-def vehicle(
-    autopilot: Annotated[
-        Literal["ardupilot", "px4"], typer.Option(help="Whose behaviour it shows.")
-    ] = "ardupilot",
-    to: Annotated[
-        str, typer.Option(metavar="HOST:PORT", help="Where it sends its messages (UDP).")
-    ] = "127.0.0.1:14550",
-    home: Annotated[
-        str | None, typer.Option(metavar="LAT,LON[,ALT]", help="Where it stands, degrees and m.")
-    ] = None,
-    speed_up: Annotated[float, typer.Option(min=0.1, max=100, metavar="N", help="Times real time.")] = 1.0,
-    seed: Annotated[int, typer.Option(min=0, max=_LARGEST_SEED, help="Of its faults.")] = 0,
-    drop: Annotated[float, typer.Option(min=0, max=1, metavar="SHARE", help="Share of messages lost.")] = 0.0,
-    repeat: Annotated[
-        float, typer.Option(min=0, max=1, metavar="SHARE", help="Share of messages sent twice.")
-    ] = 0.0,
-    delay: Annotated[
-        float, typer.Option(min=0, max=60, metavar="S", help="Every message is late by this.")
-    ] = 0.0,
-    miss_photos: Annotated[
-        float, typer.Option(min=0, max=1, metavar="SHARE", help="Share of triggers without photo.")
-    ] = 0.0,
-    camera_component: Annotated[
-        bool, typer.Option("--camera-component", help="A camera that confirms photos.")
-    ] = False,
-) -> None:
-    """A simulated vehicle that can be armed and flown by any ground station, until Ctrl-C."""
-    try:
-        from sim.vehicle import Faults, VehicleOptions, VehicleServer
-    except ModuleNotFoundError as error:
-        raise InputError(
-            "The simulated vehicle needs a part that is not installed: pip install 'fieldcal[flight]'."
-        ) from error
-
-    place = VehicleOptions().home if home is None else _home(home)
-    options = VehicleOptions(autopilot, place, boot_utc_s=time.time(), camera_component=camera_component)
-    faults = Faults(drop, repeat, delay, miss_photo_share=miss_photos)
-    server = VehicleServer(options, _host_port(to), speed_up=speed_up, faults=faults, seed=seed)
-    times = "" if speed_up == 1 else f", {speed_up:g} times real time"
-    console().print(f"A simulated {autopilot} vehicle sends to {to} (UDP){times}. End it with Ctrl-C.")
-    server.run()
-
-
-def _host_port(text: str) -> tuple[str, int]:
-    host, _, port = text.rpartition(":")
-    if not host or not port.isascii() or not port.isdigit() or not 0 < int(port) < 65536:
-        raise InputError(f"--to {text!r} is not HOST:PORT, for example 127.0.0.1:14550.")
-    return host, int(port)
-
-
-def _home(text: str) -> LocalFrame:
-    try:
-        numbers = [float(part) for part in text.split(",")]
-    except ValueError:
-        numbers = []
-    if len(numbers) not in (2, 3) or not (abs(numbers[0]) <= 90 and abs(numbers[1]) <= 180):
-        raise InputError(f"--home {text!r} is not LAT,LON or LAT,LON,ALT in degrees and m.")
-    return LocalFrame(numbers[0], numbers[1], numbers[2] if len(numbers) == 3 else 0.0)
+app.command("vehicle")(vehicle)
+app.command("camera")(camera)
 
 
 @app.command("survey")
@@ -144,7 +81,7 @@ def survey(
     recipe: Annotated[str, typer.Argument(metavar="RECIPE", help="A name of `fieldcal sim list`.")],
     out: Annotated[Path, typer.Option(metavar="DIR", help="A new or empty folder.", readable=False)],
     seed: Annotated[
-        int, typer.Option(min=0, max=_LARGEST_SEED, help="Another seed: other ground, other errors.")
+        int, typer.Option(min=0, max=LARGEST_SEED, help="Another seed: other ground, other errors.")
     ] = 1,
     size: Annotated[
         str | None, typer.Option(metavar="WxH|full", help="Size of the photos in px (default: reduced).")
@@ -186,7 +123,7 @@ def survey(
     chosen = find_recipe(recipe)
     if lens is not None:
         chosen = replace(chosen, camera=find_camera(lens))
-    pixels = _size(size, chosen.camera)
+    pixels = chosen.camera.size_of(size)
     chosen.flight(photos=photos)  # What can be refused at once is refused before the folder is made.
     options = SurveyOptions(
         photos=photos, relief_m=relief_m, dem=dem, ortho=ortho, gps=gps, camera_model=lens
@@ -207,20 +144,6 @@ def survey(
     if not quiet:
         _tell(chosen, truth, out)
     return 0
-
-
-def _size(text: str | None, camera: CameraModel) -> tuple[int, int]:
-    if text is None:
-        return camera.default_size
-    if text == "full":
-        return camera.lens().width, camera.lens().height
-    found = _SIZE.fullmatch(text.strip())
-    if found is None:
-        example = "{}x{}".format(*camera.default_size)
-        raise InputError(f"{text!r} is no size of photos: give width and height, such as {example}, or full.")
-    width, height = int(found[1]), int(found[2])
-    camera.check_size(width, height)
-    return width, height
 
 
 def _with_lens(

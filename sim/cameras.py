@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Callable
 from dataclasses import dataclass, field
 
@@ -12,6 +13,7 @@ from sim.flights import phantom3
 from sim.sensor import THERMAL, RenderOptions
 
 LEAST_WIDTH = 160
+_SIZE = re.compile(r"([0-9]{1,6})[xX×]([0-9]{1,6})")
 
 
 @dataclass(frozen=True)
@@ -42,6 +44,26 @@ class CameraModel:
     def default_size(self) -> tuple[int, int]:
         full = self.lens()
         return self.default_width, round(self.default_width * full.height / full.width)
+
+    def size_of(self, text: str | None) -> tuple[int, int]:
+        """``WxH`` or ``full`` as people write it; None is the default size.
+
+        Raises:
+            InputError: no size, or one that this camera's photos cannot be brought to; one sentence.
+        """
+        if text is None:
+            return self.default_size
+        if text == "full":
+            return self.lens().width, self.lens().height
+        found = _SIZE.fullmatch(text.strip())
+        if found is None:
+            example = "{}x{}".format(*self.default_size)
+            raise InputError(
+                f"{text!r} is no size of photos: give width and height, such as {example}, or full."
+            )
+        width, height = int(found[1]), int(found[2])
+        self.check_size(width, height)
+        return width, height
 
     def check_size(self, width: int, height: int) -> None:
         """Refuse sizes that this camera's photos cannot be brought to.

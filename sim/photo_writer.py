@@ -25,7 +25,8 @@ class PhotoTags:
     ``serial`` None writes no serial number, as the first Phantoms did. ``flight``: attitude of the
     aircraft, in the same angles as the gimbal's. ``lens_corrected`` goes into DewarpFlag, as newer
     cameras write it: without it (None) readers have to guess. ``dji_xmp``: whether XMP is written at
-    all. ``rtk_sigma_m``: what an RTK receiver states of itself, east, north, up.
+    all. ``rtk_sigma_m``: what an RTK receiver states of itself, east, north, up. ``subseconds``: whether
+    EXIF has them; ``gps``: whether it has a position.
     """
 
     time: datetime
@@ -43,6 +44,8 @@ class PhotoTags:
     rtk_sigma_m: tuple[float, float, float] | None = None
     focal_mm: float = 3.61
     focal_35mm: int = 20
+    subseconds: bool = True
+    gps: bool = True
 
 
 def level_gimbal(rotation_cam_from_world: FloatArray) -> GimbalAngles:
@@ -78,7 +81,8 @@ def _exif(image: ByteImage, tags: PhotoTags) -> Image.Exif:
     exif[base.DateTime] = stamp
     details = exif.get_ifd(ExifTags.IFD.Exif)
     details[base.DateTimeOriginal] = details[base.DateTimeDigitized] = stamp
-    details[base.SubsecTimeOriginal] = details[base.SubsecTime] = f"{tags.time.microsecond // 1000:03d}"
+    if tags.subseconds:
+        details[base.SubsecTimeOriginal] = details[base.SubsecTime] = f"{tags.time.microsecond // 1000:03d}"
     details[base.ExposureTime] = IFDRational(1, 640)
     details[base.FNumber] = IFDRational(28, 10)
     details[base.ISOSpeedRatings] = 100
@@ -87,6 +91,8 @@ def _exif(image: ByteImage, tags: PhotoTags) -> Image.Exif:
     details[base.ExifImageWidth], details[base.ExifImageHeight] = image.shape[1], image.shape[0]
     if tags.serial is not None:
         details[base.BodySerialNumber] = tags.serial
+    if not tags.gps:
+        return exif
     place = exif.get_ifd(ExifTags.IFD.GPSInfo)
     place[gps.GPSVersionID] = b"\x02\x03\x00\x00"
     place[gps.GPSLatitudeRef] = "N" if tags.latitude_deg >= 0 else "S"

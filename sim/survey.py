@@ -37,6 +37,7 @@ __all__ = [
     "HeightGrid",
     "SurveyOptions",
     "SurveyTruth",
+    "identity_of",
     "lens_corrected",
     "read_truth",
     "true_reference",
@@ -113,7 +114,7 @@ def write_survey(
         flight = _on_the_ground(plan.outline_m[0] * scale, world) + flight
     dji = plan.camera.dji_tags if options.dji_tags is None else options.dji_tags
     speed_m_s = plan.speed_m_s if options.speed_m_s is None else options.speed_m_s
-    identity = _identity(plan.camera, camera, dji, options)
+    identity = identity_of(plan.camera, camera, dji, options)
     tags = tags_of(
         flight,
         seconds_of(flight, speed_m_s, plan.interval_s),
@@ -217,7 +218,7 @@ def _on_the_ground(launch_m: FloatArray, world: World) -> Flight:
     return Flight(looking_at(centre, aim), centre, np.zeros((1, 3)))
 
 
-def _identity(model: CameraModel, camera: BrownCamera, dji: bool, options: SurveyOptions) -> CameraIdentity:
+def identity_of(model: CameraModel, camera: BrownCamera, dji: bool, options: SurveyOptions) -> CameraIdentity:
     """What the files will say; over MAVLink nobody says what was done to the pixels."""
     if options.lens_corrected is None and options.camera is None:
         processing = model.processing

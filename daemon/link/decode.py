@@ -112,6 +112,13 @@ def _mount_orientation(m: Message, _: Context) -> ev.Event | None:
     return ev.GimbalAttitude(m.integer("time_boot_ms") / 1e3, ev.Angles(roll, pitch, found % 360), frame)
 
 
+def _camera_pose(m: Message, _: Context) -> ev.Event | None:
+    place, angles = _place(m, "lat_camera", "lon_camera"), angles_of(m.numbers("q"))
+    if place is None or angles is None:
+        return None
+    return ev.CameraPose(m.integer("time_boot_ms") / 1e3, *place, m.integer("alt_camera") / 1e3, angles)
+
+
 def _feedback(m: Message, _: Context) -> ev.Event:
     """ArduPilot. UTC, or with a feedback pin time since boot; only then ``completed_captures`` counts."""
     boot_s, utc_s = _either(m.integer("time_usec"))
@@ -282,6 +289,7 @@ TABLE: dict[str, Callable[[Message, Context], ev.Event | None]] = {
     "GIMBAL_DEVICE_ATTITUDE_STATUS": _gimbal,
     "MOUNT_STATUS": _mount,
     "MOUNT_ORIENTATION": _mount_orientation,
+    "CAMERA_FOV_STATUS": _camera_pose,
     "CAMERA_FEEDBACK": _feedback,
     "CAMERA_TRIGGER": _trigger,
     "CAMERA_IMAGE_CAPTURED": _captured,

@@ -87,6 +87,17 @@ class GimbalAttitude:
     frame: AngleFrame
 
 
+@dataclass(frozen=True)
+class CameraPose:
+    """Where a camera itself says that it is, and how it looks: from the horizon and from north."""
+
+    vehicle_boot_s: float
+    latitude_deg: float
+    longitude_deg: float
+    altitude_msl_m: float
+    angles: Angles
+
+
 class PhotoSource(StrEnum):
     FEEDBACK = "feedback"  # CAMERA_FEEDBACK, ArduPilot
     TRIGGER = "trigger"  # CAMERA_TRIGGER, PX4
@@ -267,6 +278,7 @@ Event = (
     | GnssFix
     | Attitude
     | GimbalAttitude
+    | CameraPose
     | PhotoReport
     | MissionCurrent
     | ItemReached

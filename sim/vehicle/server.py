@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from typing import Any
 
 from sim.vehicle.dialect import MavMessage, mavlink
 from sim.vehicle.faults import Faults, FaultyLink
@@ -17,11 +18,14 @@ from sim.vehicle.vehicle import Vehicle
 LOOK_S = 0.005
 #: After a stall (suspended machine, debugger) time goes on from there, not at once (s of wall time).
 LONGEST_STEP_S = 0.25
+DATAGRAM_BYTES = 1400
 
 
 class VehicleServer:
     """Context manager that runs the vehicle in a thread; sends to ``address``, hears from anywhere.
 
+    ``camera``: a simulated camera listens there, on a wire of its own: it hears everything without the
+    faults of the link, each photo's true pose before the photo, and its questions are answered to it alone.
     ``speed_up`` and ``vehicle`` may be looked at while it runs; :meth:`run` serves without a thread.
     """
 
@@ -33,16 +37,19 @@ class VehicleServer:
         speed_up: float = 1.0,
         faults: Faults | None = None,
         seed: int = 0,
+        camera: tuple[str, int] | None = None,
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         faults = faults or Faults()
         self.vehicle = Vehicle(options, random.Random(seed), faults)
         self.speed_up = speed_up
         self.dropped = 0
-        self._address = address
+        self._address, self._camera = address, camera
         self._clock = clock
         self._link = FaultyLink(faults, random.Random(seed + 1))
-        self._senders = {c: mavlink.MAVLink(None, options.system_id, c) for c in (1, 100)}
+        self._senders = _senders(options.system_id)
+        self._to_camera = _senders(options.system_id)
+        self._poses_told = 0
         self._parser = mavlink.MAVLink(None)
         self._parser.robust_parsing = True
         self._before_s = 0.0
@@ -68,19 +75,38 @@ class VehicleServer:
             self._before_s = self._clock()
             while not self._stop.is_set():
                 out = self._hear(link) + self._let_time_pass()
+                self._tell_camera(link, [*self._poses(), *out])
                 for message in self._link.send(out, self.vehicle.link_s):
-                    sender = self._senders[getattr(message, "from_component", 1)]
-                    self._send(link, message.pack(sender))
-                    sender.seq = (sender.seq + 1) % 256
+                    self._send(link, self._address, _packed(message, self._senders))
 
     def _let_time_pass(self) -> list[MavMessage]:
         now = self._clock()
         passed, self._before_s = min(now - self._before_s, LONGEST_STEP_S), now
         return self.vehicle.step(passed * self.speed_up, passed)
 
-    def _send(self, link: socket.socket, data: bytes) -> None:
+    def _poses(self) -> list[MavMessage]:
+        """Of the photos since the last look."""
+        photos = self.vehicle.photos[self._poses_told :]
+        self._poses_told += len(photos)
+        return [self.vehicle.telemetry.camera_pose(photo) for photo in photos]
+
+    def _tell_camera(self, link: socket.socket, messages: list[MavMessage]) -> None:
+        """In few datagrams: a camera that renders looks at its socket seldom."""
+        if self._camera is None:
+            return
+        data = b""
+        for message in messages:
+            packed = _packed(message, self._to_camera)
+            if len(data) + len(packed) > DATAGRAM_BYTES:
+                self._send(link, self._camera, data)
+                data = b""
+            data += packed
+        if data:
+            self._send(link, self._camera, data)
+
+    def _send(self, link: socket.socket, address: tuple[str, int], data: bytes) -> None:
         try:
-            link.sendto(data, self._address)
+            link.sendto(data, address)
         except OSError:  # nobody listens yet: a vehicle does not mind
             self.dropped += 1
 
@@ -88,15 +114,29 @@ class VehicleServer:
         """Everything that has arrived, answered; waits a moment where there is nothing."""
         out: list[MavMessage] = []
         try:
-            data = link.recv(4096)
+            data, origin = link.recvfrom(4096)
             out += self._let_time_pass()  # What it answers is said at the time of the question.
             link.setblocking(False)
             while data:
                 for message in self._parser.parse_buffer(data) or []:
-                    if self._link.lets_in(message, self.vehicle.link_s):
+                    if origin == self._camera:
+                        self._tell_camera(link, self.vehicle.receive(message))
+                    elif self._link.lets_in(message, self.vehicle.link_s):
                         out += self.vehicle.receive(message)
-                data = link.recv(4096)
+                data, origin = link.recvfrom(4096)
         except (TimeoutError, BlockingIOError, ConnectionError):
             pass
         link.settimeout(LOOK_S)
         return out
+
+
+def _senders(system_id: int) -> dict[int, Any]:
+    """By component: each numbers its messages for itself."""
+    return {component: mavlink.MAVLink(None, system_id, component) for component in (1, 100)}
+
+
+def _packed(message: MavMessage, senders: dict[int, Any]) -> bytes:
+    sender = senders[getattr(message, "from_component", 1)]
+    data: bytes = message.pack(sender)
+    sender.seq = (sender.seq + 1) % 256
+    return data

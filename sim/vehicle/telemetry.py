@@ -22,6 +22,8 @@ _PX4_MODES = {
     **{Mode.MANUAL: (1, 0), Mode.HOLD: (4, 3), Mode.GUIDED: (6, 0), Mode.MISSION: (4, 4)},
     **{Mode.RETURN: (4, 5), Mode.LAND: (4, 6)},
 }
+#: MAVLink's mark for a place that is not known (INT32_MAX).
+UNKNOWN = 2**31 - 1
 #: REQUEST_DATA_STREAM's groups (ArduPilot) -> messages.
 STREAM_GROUPS = {
     1: ("SYS_STATUS", "SYSTEM_TIME"),
@@ -126,6 +128,15 @@ class Telemetry:
             *(self.boot_ms(max(boot_s, 0.001)), self.utc_us(photo.boot_s), 0, x, y),
             *(round(altitude * 1e3), round(photo.at_m[2] * 1e3)),
             *(quaternion(0.0, photo.pitch_deg, photo.yaw_deg), index, 1, b""),
+        )
+
+    def camera_pose(self, photo: PhotoTaken) -> MavMessage:
+        """CAMERA_FOV_STATUS: where the camera was and how it looked as the photo was taken, without error."""
+        x, y, altitude = self.place(photo.at_m)
+        looked = quaternion(0.0, photo.pitch_deg, photo.yaw_deg)
+        return mavlink.MAVLink_camera_fov_status_message(
+            *(self.boot_ms(photo.boot_s), x, y, round(altitude * 1e3)),
+            *(UNKNOWN, UNKNOWN, UNKNOWN, looked, math.nan, math.nan),
         )
 
     def _heartbeat(self, _: float) -> MavMessage:
