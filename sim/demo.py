@@ -1,7 +1,8 @@
-"""``python -m sim.demo``: a drone that nobody flew, a lens that is known, a verdict that is not told.
+"""``python -m sim.demo``: a drone that nobody flew, a lens that is known, a verdict before it lands.
 
-Renders a survey over invented farmland, checks its nadir photos alone and then with the eight
-convergent ones, and compares the focal lengths found with the true one.
+A simulated vehicle flies over invented farmland, a simulated camera takes its photos, and fieldcal does
+its job beside them, as a crew would use it: plan, upload, run (REFLY), refly, upload, run (TRUST).
+What it found is compared with the true lens at the end.
 """
 
 from __future__ import annotations
@@ -10,112 +11,363 @@ import argparse
 import json
 import os
 import shutil
+import signal
+import socket
 import subprocess
 import sys
-from dataclasses import dataclass
+import time
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
 from pathlib import Path
+from threading import Thread
+from typing import Any
 
-from rich.console import Console
-from rich.progress import Progress
+import numpy as np
+from rich.console import Console, Group
+from rich.live import Live
+from rich.text import Text
 
 from calib.errors import FieldcalError, OutputError
 from calib.findings import Verdict
+from calib.frames import LocalFrame
 from calib.reference import Reference
 from calib.reference_file import write_reference_file
-from sim.survey import SurveyOptions, SurveyTruth, read_truth, true_reference, write_survey
+from calib.wording import VERDICT_WORDS
+from mission.encode import FLAVOURS, Flavour
+from sim.cameras import PHANTOM_3
+from sim.demo_map import Flown, Spot, drawn
+from sim.demo_pilot import Pilot
+from sim.options import SurveyOptions
+from sim.survey import identity_of
+from sim.vehicle import VehicleOptions, VehicleServer
 
-RECIPE, SEED = "demo", 1
-OPTIONS = SurveyOptions(apart=True)
+HOME = LocalFrame(47.0, 8.5, 430.0)
+#: Metres around home, and the flight over them: 18 photos straight down from 60 m.
+AREA_M, HEIGHT_M = 22.0, 60.0
+CAMERA = "dji-phantom-3-professional"
+#: How much faster than in life the drone flies while it takes photos, and home with nothing to wait for.
+SPEED_UP, HOMEWARD = 3.0, 10.0
+#: The way home goes on in real time for so long, so that a slow computer, too, tells before the landing.
+PATIENCE_S = 60.0
+#: A flight that takes longer has gone wrong.
+LONGEST_S = 1800.0
+#: Photos that look further aside than this are drawn as such.
+OBLIQUE_PITCH_DEG = -80.0
+#: What a run of this demonstration leaves in its folder, and clears away at the next.
+OWN = ("tether", "nadir-only", "with-pass", "sessions", "backup", "camera.log")
+SO_FAR = "So far "
 
 
 @dataclass(frozen=True)
 class Step:
-    """One check of the demonstration: which photos, and the verdict that they deserve."""
+    """One flight of the demonstration, and the verdict that the photos until then deserve."""
 
     name: str
     title: str
-    folders: tuple[str, ...]
+    mission: str
     expected: Verdict
 
 
 STEPS = (
-    Step("nadir-only", "12 photos straight down", ("nadir",), Verdict.REFLY),
-    Step(
-        "with-convergent",
-        "the same and 8 convergent photos",
-        ("nadir", "convergent"),
-        Verdict.TRUST,
-    ),
+    Step("nadir-only", "photos straight down", "nadir.plan", Verdict.REFLY),
+    Step("with-pass", "the same and the pass that fieldcal asked for", "pass.plan", Verdict.TRUST),
 )
 
 
-def photographed(folder: Path, size: tuple[int, int], console: Console) -> SurveyTruth:
-    """The survey's photos: those of an earlier run if they are complete, else rendered now.
+@dataclass
+class Told:
+    """What ``fieldcal run`` has said: ``early`` is its last verdict while the drone was in the air."""
 
-    Nothing else in ``folder`` is touched.
+    lines: list[str] = field(default_factory=list)
+    early: str | None = None
+
+
+class Demo:
+    """The demonstration in ``out``: one console, one vehicle, commands run as a user would run them."""
+
+    def __init__(
+        self,
+        out: Path,
+        size: tuple[int, int],
+        console: Console,
+        flavour: Flavour = "ardupilot",
+        area_m: float = AREA_M,
+    ) -> None:
+        self.out, self.size, self.console = out, size, console
+        self.flavour, self.area_m = flavour, area_m
+        self.tether = out / "tether"
+        self.ports = [free_port() for _ in range(3)]
+        self.environment = {
+            **os.environ,
+            "FIELDCAL_SESSIONS": str(out / "sessions"),
+            "PYTHONUNBUFFERED": "1",
+        }
+
+    @property
+    def link(self) -> str:
+        return f"udp://127.0.0.1:{self.ports[0]}"
+
+    def command(self, *words: str) -> list[str]:
+        return [sys.executable, "-m", "daemon.cli", *words]
+
+    def do(self, *words: str, allowed: tuple[int, ...] = (0,)) -> str:
+        """Run a command to its end, say it, and give what it wrote.
+
+        Raises:
+            FieldcalError: it ended otherwise than it should.
+        """
+        self.say_command(words)
+        ran = subprocess.run(
+            self.command(*words), env=self.environment, capture_output=True, text=True, check=False
+        )
+        if ran.returncode not in allowed:
+            raise FieldcalError(f"fieldcal {words[0]} failed: {(ran.stderr or ran.stdout).strip()}")
+        return ran.stdout
+
+    def say_command(self, words: tuple[str, ...]) -> None:
+        shown = " ".join(os.path.relpath(w) if Path(w).is_absolute() else w for w in words)
+        self.console.print(Text(f"$ fieldcal {shown}", style="bold"), soft_wrap=True)
+
+    def say(self, text: str) -> None:
+        self.console.print(Text(f"  {text}"), soft_wrap=True)
+
+    # -- the parts -------------------------------------------------------------------------------
+
+    def planned(self) -> dict[str, Any]:
+        """The survey's plan."""
+        words: tuple[str, ...] = (
+            "plan",
+            "nadir",
+            "--area",
+            f"{HOME.latitude_deg},{HOME.longitude_deg},{AREA_M:g}",
+        )
+        words += ("--camera", CAMERA, "--height", f"{HEIGHT_M:g}", "--launch")
+        words += (f"{HOME.latitude_deg},{HOME.longitude_deg}", "--forward-overlap", "75")
+        words += ("--side-overlap", "60", "--camera-interval", "1", "--autopilot", self.flavour)
+        words += ("--out", str(self.out / "nadir.plan"))
+        plan: dict[str, Any] = json.loads(self.do(*words, "--json", "-"))
+        expected = plan["predicted"]
+        self.say(
+            f"{plan['photos']} photos, {plan['duration_s']:.0f} s. To expect: {expected['verdict']}. "
+            f"{expected['reason']}"
+        )
+        return plan
+
+    def upload(self, mission: str) -> None:
+        words = ("upload", str(self.out / mission), "--to", self.link, "--yes")
+        said = self.do(*words, "--backup", str(self.out / "backup"))
+        self.say(next(line for line in said.splitlines() if line.startswith("The vehicle holds")))
+
+    def refly(self) -> list[dict[str, Any]]:
+        """The extra pass, computed from the block that was flown."""
+        words = ("refly", str(self.out / STEPS[0].name), "--out", str(self.out / STEPS[1].mission))
+        found = json.loads(self.do(*words, "--autopilot", self.flavour, "--json", "-"))
+        self.say(found["reason"])
+        stations: list[dict[str, Any]] = found["stations"]
+        return stations
+
+    @contextmanager
+    def camera(self) -> Iterator[None]:
+        """The simulated camera beside the vehicle; its truth is written when it ends."""
+        words: tuple[str, ...] = (
+            "sim",
+            "camera",
+            "--out",
+            str(self.tether),
+            "--link",
+            f"udp://127.0.0.1:{self.ports[1]}",
+        )
+        words += ("--size", f"{self.size[0]}x{self.size[1]}", "--site-m", "240")
+        self.say_command(words)
+        with (self.out / "camera.log").open("w", encoding="utf-8") as log:
+            process = subprocess.Popen(
+                self.command(*words),
+                env=self.environment,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+            try:
+                yield
+            finally:
+                process.send_signal(signal.SIGINT)
+                try:
+                    process.wait(60)
+                except subprocess.TimeoutExpired:
+                    process.kill()
+
+    def wait_for_camera(self) -> None:
+        until = time.monotonic() + 120
+        while "ready" not in (said := (self.out / "camera.log").read_text(encoding="utf-8")):
+            if time.monotonic() > until:
+                raise FieldcalError(f"The simulated camera is not ready: {said.strip()[-300:]}")
+            time.sleep(0.2)
+
+    def fly(self, step: Step, stations: list[dict[str, Any]], server: VehicleServer) -> Told:
+        """``fieldcal run`` beside the drone, from before the take-off to the verdict."""
+        forward = f"127.0.0.1:{self.ports[2]}"
+        words: tuple[str, ...] = (
+            "run",
+            "--photos",
+            str(self.tether),
+            "--link",
+            self.link,
+            "--forward",
+            forward,
+        )
+        words += ("--reference", str(self.out / "true-lens.json"), "--out", str(self.out / step.name))
+        self.say_command(words)
+        process = subprocess.Popen(
+            self.command(*words),
+            env=self.environment,
+            stdout=subprocess.PIPE,
+            stderr=subprocess.STDOUT,
+            text=True,
+            encoding="utf-8",
+        )
+        told = Told()
+        reader = Thread(target=_listen, args=(process, told, server), daemon=True)
+        reader.start()
+        before = len(server.vehicle.photos)
+        try:
+            with Pilot(self.ports[2]) as pilot, self._board() as show:
+                pilot.take_off()
+                self.say("The pilot has armed and started the mission; fieldcal never does.")
+                server.speed_up = SPEED_UP
+                calm_s = None
+                said = 0
+                until = time.monotonic() + LONGEST_S
+                while process.poll() is None:
+                    if server.vehicle.done:
+                        server.speed_up = 1.0
+                    elif len(server.vehicle.photos) >= before + len(stations):
+                        calm_s = calm_s or time.monotonic()
+                        waited = told.early is not None or time.monotonic() - calm_s > PATIENCE_S
+                        server.speed_up = HOMEWARD if waited else 1.0
+                    for line in told.lines[said:]:
+                        self.say(line)
+                        said += 1
+                    show(self._map(stations, server))
+                    if time.monotonic() > until:
+                        raise FieldcalError(f"The flight has not ended after {LONGEST_S / 60:.0f} minutes.")
+                    time.sleep(0.2)
+        finally:
+            if process.poll() is None:
+                process.kill()
+            process.wait()
+            reader.join(10)
+        for line in told.lines[said:]:
+            self.say(line)
+        return told
+
+    @contextmanager
+    def _board(self) -> Iterator[Any]:
+        """The map under the words, where there is a terminal."""
+        if not self.console.is_terminal:
+            yield lambda _: None
+            return
+        with Live(console=self.console, transient=True, refresh_per_second=5) as live:
+            yield lambda text: live.update(Group(Text(""), Text(text, style="cyan")))
+
+    def _map(self, stations: list[dict[str, Any]], server: VehicleServer) -> str:
+        vehicle = server.vehicle
+        places = HOME.enu(*np.array([(s["lat"], s["lon"], HOME.altitude_m) for s in stations]).T)
+        planned: list[Spot] = [(float(e), float(n)) for e, n, _ in places]
+        photos = list(vehicle.photos)
+        taken = [p.at_m[:2] for p in photos if p.pitch_deg <= OBLIQUE_PITCH_DEG]
+        oblique = [p.at_m[:2] for p in photos if p.pitch_deg > OBLIQUE_PITCH_DEG]
+        east, north, up = vehicle.body.at_m
+        state = "on the ground" if not vehicle.pilot.armed else f"{up:.0f} m up"
+        there = len(list(self.tether.glob("*.JPG")))
+        words = f"{state}, {len(photos)} photos taken, {there} in the folder"
+        return f"{drawn(Flown(planned, taken, oblique, (east, north)))}\n{words}"
+
+    def judged(self, step: Step, told: Told) -> bool:
+        """Tell what came of a flight; whether it is as expected."""
+        report = self.out / step.name / "report.json"
+        if not report.is_file():
+            self.console.print(f"[red]{step.title}: no verdict.[/red] " + " ".join(told.lines[-3:]))
+            return False
+        found = json.loads(report.read_text(encoding="utf-8"))
+        verdict = found["verdict"]
+        self.say(f"{VERDICT_WORDS[Verdict(verdict)]}: {found['headline']}")
+        right = bool(verdict == step.expected.value)
+        mark = "[green]as it should be[/green]" if right else f"[red]expected {step.expected.value}[/red]"
+        early = "" if told.early is None else f" ({told.early} before it landed)"
+        self.console.print(f"{step.title}: {verdict}{early}, {mark}")
+        return right
+
+
+def _listen(process: subprocess.Popen[str], told: Told, server: VehicleServer) -> None:
+    """Take in what a run says until its verdict, which stands in the report."""
+    assert process.stdout is not None
+    over = False
+    for line in process.stdout:
+        text = line.strip()
+        over = over or text.startswith(tuple(VERDICT_WORDS.values()))
+        if text.startswith(SO_FAR) and server.vehicle.pilot.flying:
+            told.early = text.removeprefix(SO_FAR).split(":")[0]
+        if text and not over:
+            told.lines.append(text)
+
+
+def free_port() -> int:
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+        one.bind(("127.0.0.1", 0))
+        port: int = one.getsockname()[1]
+    return port
+
+
+def reference_of(size: tuple[int, int]) -> Reference:
+    """The true lens as the reference that a calibration on site would have given."""
+    camera = PHANTOM_3.at(*size)
+    identity = identity_of(PHANTOM_3, camera, False, SurveyOptions())
+    return Reference(
+        name="demo-truth",
+        make=identity.make,
+        model=identity.model,
+        width=camera.width,
+        height=camera.height,
+        processing=identity.processing,
+        source="the simulator's true lens",
+        brown=camera,
+        serial=identity.serial,
+        exif_models=(identity.model,),
+    )
+
+
+def prepared(out: Path) -> None:
+    """An empty place for this run; of earlier runs only their own files go.
+
+    Raises:
+        OutputError: it cannot be written to.
     """
     try:
-        truth = read_truth(folder)
-    except (FileNotFoundError, json.JSONDecodeError, KeyError, TypeError):
-        truth = None
-    if (
-        truth is not None
-        and (truth.recipe, truth.seed, truth.camera.width, truth.camera.height) == (RECIPE, SEED, *size)
-        and all((folder / name).is_file() for name in truth.photos)
-    ):
-        console.print(f"Photos of an earlier run are in {folder}: used again.")
-        return truth
-    with Progress(console=console, transient=True) as bar:
-        task = bar.add_task(f"Rendering photos of {size[0]} x {size[1]} px", total=None)
-        truth = write_survey(
-            RECIPE,
-            folder,
-            SEED,
-            size=size,
-            options=OPTIONS,
-            progress=lambda done, total: bar.update(task, completed=done, total=total),
-        )
-    console.print(f"{len(truth.photos)} photos rendered into {folder}.")
-    return truth
+        out.mkdir(parents=True, exist_ok=True)
+        for name in OWN:
+            path = out / name
+            if path.is_dir():
+                shutil.rmtree(path)
+            else:
+                path.unlink(missing_ok=True)
+    except OSError as error:
+        raise OutputError(f"The demonstration cannot write to {out}: {error.strerror}.") from error
 
 
-def reference_of(truth: SurveyTruth) -> Reference:
-    """The true lens as the reference that a calibration on site would have given."""
-    return true_reference(truth, "demo-truth")
-
-
-def check(step: Step, photos: Path, reference: Path, out: Path, console: Console) -> bool:
-    """Run ``fieldcal check`` as a user would, tell what came of it; whether it is as expected."""
-    report = out / "report.json"
-    report.unlink(missing_ok=True)
-    command = [sys.executable, "-m", "daemon.cli", "check", *(str(photos / name) for name in step.folders)]
-    command += ["--reference", str(reference), "--out", str(out), "--json", str(report)]
-    console.rule(step.title)
-    code = subprocess.run(command, check=False).returncode
-    if not report.is_file():
-        console.print(f"[red]The check gave no report (exit code {code}).[/red]")
-        return False
-    found = json.loads(report.read_text(encoding="utf-8"))
-    right = found["verdict"] == step.expected.value and code == step.expected.exit_code
-    mark = "[green]as it should be[/green]" if right else f"[red]expected {step.expected.value}[/red]"
-    console.print(f"{step.title}: {found['verdict']}, exit code {code}, {mark}")
-    return right
-
-
-def compare(truth: SurveyTruth, out: Path, console: Console) -> None:
+def compare(true_f_px: float, out: Path, console: Console) -> None:
     """Print the true focal length against those found."""
     console.rule("True lens against found")
-    true_f = truth.camera.f_px
-    console.print(f"{'true':>16}: f = {true_f:8.2f} px")
+    console.print(f"{'true':>12}: f = {true_f_px:8.2f} px")
     for step in STEPS:
         report = out / step.name / "report.json"
         if not report.is_file():
             continue
         calibration = json.loads(report.read_text(encoding="utf-8"))["calibration"]
         f, sigma = calibration["f_px"], calibration["sigma"]["f_px"]
-        off = 100 * (f / true_f - 1)
+        off = 100 * (f / true_f_px - 1)
         spread = "unknown" if sigma is None else f"{sigma:.2f} px"
-        console.print(f"{step.name:>16}: f = {f:8.2f} px, sigma {spread}: {off:+.3f} % off the truth")
+        console.print(f"{step.name:>12}: f = {f:8.2f} px, sigma {spread}: {off:+.3f} % off the truth")
 
 
 def show(out: Path, console: Console) -> None:
@@ -134,29 +386,49 @@ def show(out: Path, console: Console) -> None:
         )
 
 
+def flown(demo: Demo) -> bool:
+    """The whole of it; whether every verdict was the one expected."""
+    stations = demo.planned()["stations"]
+    right = []
+    with demo.camera():
+        confirmed = demo.flavour == "ardupilot"
+        options = VehicleOptions(demo.flavour, HOME, boot_utc_s=time.time(), camera_component=confirmed)
+        with VehicleServer(
+            options, ("127.0.0.1", demo.ports[0]), camera=("127.0.0.1", demo.ports[1])
+        ) as server:
+            for step in STEPS:
+                demo.console.rule(step.title)
+                if step is not STEPS[0]:
+                    stations = demo.refly()
+                demo.upload(step.mission)
+                demo.wait_for_camera()
+                told = demo.fly(step, stations, server)
+                right.append(demo.judged(step, told))
+                if not right[-1]:
+                    break
+    return len(right) == len(STEPS) and all(right)
+
+
 def main(arguments: list[str] | None = None) -> int:
     """Exit code 0 only if every verdict is the expected one."""
     parser = argparse.ArgumentParser(prog="python -m sim.demo", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("demo-out"), help="folder for photos and reports")
     parser.add_argument("--width", type=int, default=1600, help="width of the photos in px (default: 1600)")
+    parser.add_argument("--autopilot", choices=FLAVOURS, default="ardupilot", help="whose vehicle it is")
     chosen = parser.parse_args(arguments)
     if not 320 <= chosen.width <= 4000:
         parser.error("--width must be from 320 to 4000")
     size = (chosen.width // 4 * 4, chosen.width // 4 * 3)
     console = Console()
-    out: Path = chosen.out
-    # One folder for each size: photos of another size would be taken for a second camera's.
-    photos = out / f"photos-{size[0]}x{size[1]}"
-    try:
-        truth = photographed(photos, size, console)
-        reference = out / "true-lens.json"
-        write_reference_file(reference_of(truth), reference)
-    except OSError as error:
-        raise OutputError(f"The demonstration cannot write to {out}: {error.strerror}.") from error
-    right = [check(step, photos, reference, out / step.name, console) for step in STEPS]
-    compare(truth, out, console)
-    show(out, console)
-    return 0 if all(right) else 1
+    out: Path = chosen.out.absolute()
+    prepared(out)
+    reference = reference_of(size)
+    write_reference_file(reference, out / "true-lens.json")
+    right = flown(Demo(out, size, console, chosen.autopilot))
+    if reference.brown is not None:
+        compare(reference.brown.f_px, out, console)
+    show(chosen.out, console)
+    return 0 if right else 1
 
 
 if __name__ == "__main__":

@@ -3,30 +3,24 @@
 from __future__ import annotations
 
 import asyncio
-import json
 import math
-import signal
 import subprocess
 import sys
-import time
-from datetime import UTC, datetime
 from pathlib import Path
 
 import numpy as np
 import pytest
-from PIL import Image
 
 pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
 pytest.importorskip("mavsdk", reason="pip install fieldcal[flight]")
 
 from calib.frames import LocalFrame, rotation_cam_from_world
-from calib.photos.photo import GimbalAngles, Photo
-from calib.photos.read import read_photo
+from calib.photos.photo import GimbalAngles
 from mission import encode
 from mission.encode import Flavour
 from sim.truth import SurveyTruth, read_truth
 from sim.vehicle import PhotoTaken, VehicleOptions, VehicleServer
-from tests.check_process import Ran, ended, started
+from tests.check_process import ended, started
 from tests.mission_plans import LAUNCH, line, orbit, plan_of
 from tests.mission_server import free_port
 from tests.vehicle_client import client

@@ -1,7 +1,8 @@
-"""The demonstration's own thinking: reuse of photos, reference file, verdicts against exit codes."""
+"""The demonstration: the whole loop in both flavours, with real processes, links and files; its map."""
 
 from __future__ import annotations
 
+import io
 import json
 import os
 from pathlib import Path
@@ -9,75 +10,77 @@ from pathlib import Path
 import pytest
 from rich.console import Console
 
+pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
+
 import sim.demo as demo
-from calib.findings import Verdict
-from calib.reference_file import read_reference_file, write_reference_file
-from sim.survey import SurveyTruth
+from mission.encode import FLAVOURS, Flavour
+from sim.cameras import PHANTOM_3
+from sim.demo_map import DRONE, HOME, OBLIQUE, PLANNED, TAKEN, Flown, drawn
 
-SIZE = (320, 240)
-
-
-@pytest.fixture(scope="module")
-def rendered(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, SurveyTruth]:
-    folder = tmp_path_factory.mktemp("demo") / "photos"
-    return folder, demo.photographed(folder, SIZE, Console(quiet=True))
+SIZE = (640, 480)
 
 
-def test_photos_are_rendered_once(rendered: tuple[Path, SurveyTruth]) -> None:
-    folder, truth = rendered
-    before = (folder / truth.photos[0]).stat().st_mtime_ns
-    again = demo.photographed(folder, SIZE, Console(quiet=True))
-    assert again.photos == truth.photos
-    assert (folder / truth.photos[0]).stat().st_mtime_ns == before
-
-
-def test_half_rendered_photos_are_rendered_again(rendered: tuple[Path, SurveyTruth]) -> None:
-    folder, truth = rendered
-    (folder / truth.photos[3]).unlink()
-    demo.photographed(folder, SIZE, Console(quiet=True))
-    assert (folder / truth.photos[3]).is_file()
-
-
-def test_reference_is_the_true_lens(rendered: tuple[Path, SurveyTruth], tmp_path: Path) -> None:
-    _, truth = rendered
-    write_reference_file(demo.reference_of(truth), tmp_path / "true.json")
-    assert read_reference_file(tmp_path / "true.json").brown == truth.camera
-
-
-@pytest.mark.parametrize(
-    ("verdict", "code", "right"),
-    [("REFLY", 3, True), ("TRUST", 0, False), ("REFLY", 1, False), ("CANNOT_TELL", 4, False)],
-)
-def test_only_the_expected_verdict_is_right(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, verdict: str, code: int, right: bool
-) -> None:
-    """A checker of the same command line stands in for the real one."""
-    (tmp_path / "daemon").mkdir()
-    (tmp_path / "daemon" / "__init__.py").touch()
-    (tmp_path / "daemon" / "cli.py").write_text(
-        "import json, pathlib, sys\n"
-        "words = sys.argv[1:]\n"
-        "assert words[0] == 'check' and words[1].endswith('nadir')\n"
-        "out = pathlib.Path(words[words.index('--json') + 1])\n"
-        "out.parent.mkdir(parents=True, exist_ok=True)\n"
-        f"out.write_text(json.dumps({{'verdict': {verdict!r}}}))\n"
-        f"sys.exit({code})\n",
-        encoding="utf-8",
+@pytest.mark.parametrize("flavour", FLAVOURS)
+def test_refly_then_trust(tmp_path: Path, flavour: Flavour) -> None:
+    """Planned, flown, REFLY, the pass computed, uploaded and flown, TRUST: the lens is the true one."""
+    said = io.StringIO()
+    demo.prepared(tmp_path)
+    reference = demo.reference_of(SIZE)
+    assert reference.brown is not None
+    demo.write_reference_file(reference, tmp_path / "true-lens.json")
+    assert demo.flown(demo.Demo(tmp_path, SIZE, Console(file=said, width=200), flavour, area_m=10.0)), (
+        said.getvalue()
     )
-    monkeypatch.chdir(tmp_path)  # python -m looks in the working directory first
-    step = demo.Step("nadir-only", "nadir", ("nadir",), Verdict.REFLY)
-    got = demo.check(step, tmp_path, tmp_path / "r.json", tmp_path / "out", Console(quiet=True))
-    assert got is right
-    assert json.loads((tmp_path / "out" / "report.json").read_text())["verdict"] == verdict
+    first, second = (json.loads((tmp_path / step.name / "report.json").read_text()) for step in demo.STEPS)
+    assert (first["verdict"], second["verdict"]) == ("REFLY", "TRUST")
+    assert second["calibration"]["f_px"] == pytest.approx(reference.brown.f_px, rel=1e-3)
+    assert second["alignment"]["photos"] > first["alignment"]["photos"]
+    truth = json.loads((tmp_path / "tether" / "truth.json").read_text())
+    assert truth["camera"]["f_px"] == pytest.approx(reference.brown.f_px)
+    # The photos are those that the vehicle was told to take.
+    assert len(list((tmp_path / "tether").glob("*.JPG"))) == second["alignment"]["photos"]
+    assert "The pilot has armed" in said.getvalue()
+    assert (tmp_path / "backup").is_dir()
 
 
-def test_no_report_is_not_right(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (tmp_path / "daemon").mkdir()
-    (tmp_path / "daemon" / "__init__.py").touch()
-    (tmp_path / "daemon" / "cli.py").write_text("raise SystemExit(3)\n", encoding="utf-8")
-    monkeypatch.chdir(tmp_path)
-    step = demo.Step("nadir-only", "nadir", ("nadir",), Verdict.REFLY)
-    assert not demo.check(step, tmp_path, tmp_path / "r.json", tmp_path / "out", Console(quiet=True))
+def test_a_map_of_characters() -> None:
+    flown = Flown([(-20.0, 0.0), (20.0, 0.0), (20.0, 15.0)], [(-20.0, 0.0)], [(0.0, 15.0)], (20.0, 15.0))
+    lines = drawn(flown, 41, 11).splitlines()
+    assert len(lines) == 12
+    assert max(map(len, lines)) <= 41
+    signs = {sign: [(r, line.index(sign)) for r, line in enumerate(lines) if sign in line]
+             for sign in (HOME, PLANNED, TAKEN, OBLIQUE, DRONE)}  # fmt: skip
+    assert signs[DRONE][0][0] < signs[HOME][0][0]  # north is up
+    assert signs[TAKEN] == [(signs[HOME][0][0], 0)]  # west is left, and taken covers planned
+    assert signs[PLANNED] == [(signs[HOME][0][0], 40)]
+    assert signs[DRONE][0][1] == 40
+    assert len(signs[OBLIQUE]) == 1
+    assert lines[-1].endswith(" m")
+    one = drawn(Flown([], [], [], (0.0, 0.0)))
+    assert DRONE in one
+
+
+def test_reference_is_the_true_lens() -> None:
+    assert demo.reference_of(SIZE).brown == PHANTOM_3.at(*SIZE)
+
+
+def test_only_its_own_files_are_cleared_away(tmp_path: Path) -> None:
+    (tmp_path / "tether").mkdir()
+    (tmp_path / "tether" / "IMG_0001.JPG").write_bytes(b"old")
+    (tmp_path / "mine.txt").write_text("keep")
+    demo.prepared(tmp_path)
+    assert [path.name for path in tmp_path.iterdir()] == ["mine.txt"]
+
+
+@pytest.mark.parametrize(("verdict", "right"), [("REFLY", True), ("TRUST", False), ("CANNOT_TELL", False)])
+def test_only_the_expected_verdict_is_right(tmp_path: Path, verdict: str, right: bool) -> None:
+    told = demo.Demo(tmp_path, SIZE, Console(quiet=True))
+    step = demo.STEPS[0]
+    assert not told.judged(step, demo.Told())
+    (tmp_path / step.name).mkdir()
+    report = {"verdict": verdict, "headline": "So it is."}
+    (tmp_path / step.name / "report.json").write_text(json.dumps(report))
+    assert told.judged(step, demo.Told()) is right
 
 
 def test_width_is_checked(capsys: pytest.CaptureFixture[str]) -> None:
