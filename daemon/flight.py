@@ -22,7 +22,7 @@ from calib.result import CheckResult, Timing
 from daemon.advice import what_to_fly
 from daemon.capture.hot_folder import Arrival, HotFolder, Poll
 from daemon.capture.matching import Arrived, Matching, completed
-from daemon.flight_messages import capture_message, verdict_message
+from daemon.flight_messages import capture_message, paired_words, verdict_message
 from daemon.live.schemas import Link, Log, Message, Progress, Status
 from daemon.session.rows import ClockName, Event, PhotoFile, SolutionRecord, Stamp, VerdictRecord
 from daemon.session.store import Session
@@ -224,8 +224,9 @@ class Flight:
         self._link.poll()
         for level, text in self._link.news():
             self._say(text, level)
-        if self._matching.look(self._photos, at_once) and at_once and self._matching.pairing.advice:
-            self._say(self._matching.pairing.advice, "warning")
+        self._matching.look(self._photos, at_once)
+        if at_once:
+            self._say(paired_words(self._matching.pairing, len(self._photos), self._link.book))
 
     def _completed(self, photos: Sequence[Photo]) -> Sequence[Photo]:
         """The photos with positions and angles of their triggers, where they have none themselves."""

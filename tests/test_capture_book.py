@@ -276,7 +276,7 @@ def test_pairs_are_recorded_and_gone_on_with(tmp_path: Path) -> None:
         assert recorded is not None
         assert {(p.photo, p.data["photo"]) for p in recorded.value.pairs} == {(n, n) for n in range(1, 13)}
         assert parted(again.pairing, book.count, 0) is None
-        assert parted(again.pairing, book.count, 2) == "2 triggers were not heard."
+        assert parted(again.pairing, book.count, 2) == "Triggers not heard: 2."
         assert parted(Pairing((), (), (), None), 3, 1) is None
 
 
