@@ -91,6 +91,9 @@ class Flight:
         self._phase: Phase = "waiting"
         self._degraded: tuple[str, ...] = ()
         self._over = False
+        # Photos that a final verdict has seen: only others are waited for.
+        self._from = 0
+        self._count = options.count
         self._seq = session.counts().photos
         self._trying_for = self._trying_seq = 0
         self._told: object = None
@@ -107,10 +110,12 @@ class Flight:
         """Whether it is time for :meth:`conclude`."""
         if self._over:
             return True
-        if self._options.count is not None and self._poll.whole >= self._options.count:
+        if self._count is not None and self._poll.whole >= self._count:
             return True
         idle_s, link = self._options.idle_s, self._link
-        if idle_s == 0 or not self._photos or self._poll.fault or (link is not None and link.flying):
+        if idle_s == 0 or self._poll.whole <= self._from or not self._photos or self._poll.fault:
+            return False
+        if link is not None and link.flying:
             return False
         moved_s = self._moved_s
         if link is not None:
@@ -183,6 +188,15 @@ class Flight:
         result = replace(result, what_to_fly=what_to_fly(result))
         self._record(result, seq, final=True)
         return result
+
+    def go_on(self, photos: int) -> None:
+        """Collect again after a final verdict: an extra pass of so many photos is to be flown."""
+        self._over, self._from = False, self._poll.whole
+        if self._count is not None:
+            self._count = self._poll.whole + photos
+        if self._link is not None:
+            self._link.flies_again()
+        self._enter("collecting")
 
     def ended(self) -> None:
         """Tell that it is over."""
@@ -314,6 +328,7 @@ class Flight:
         newest = self._session.latest_verdict()
         if newest is not None:
             value = newest.value
+            self._from = value.photos if value.final else 0
             self._tell(
                 verdict_message(self._options.vehicle, dict(value.report), value.final, newest.recorded)
             )
