@@ -2,39 +2,32 @@
 
 from __future__ import annotations
 
-import signal
 import socket
 import sys
-from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
-from dataclasses import replace
-from datetime import UTC, datetime
+from contextlib import ExitStack
 from pathlib import Path
-from types import FrameType
 from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
 from calib.align.stream import Solver
-from calib.errors import FieldcalError, InputError
-from calib.files import check_file_writable, check_writable, write_text_atomic
-from calib.output import REPORT_HTML, write_outputs
+from calib.errors import InputError
+from calib.files import check_file_writable, check_writable
 from calib.references import load_reference
-from calib.report_json import report_json
-from calib.wording import VERDICT_WORDS, printable
-from daemon.capture.tagging import Kind, tag_photos
+from calib.wording import printable
+from daemon.capture.tagging import Kind
 from daemon.cli_upload import TO_HELP, forward_to
 from daemon.flight import STARTED, Flight, Options
 from daemon.live.answers import Answers, answers_of
 from daemon.live.commands import Commands, daemon_token, default_token_file
-from daemon.live.schemas import Capture, Log, Message, Progress, Verdict
+from daemon.live.schemas import Message
 from daemon.live.settings import CONFIG_VARIABLE, Settings
 from daemon.live.topics import vehicle_name
-from daemon.output import console, write_stdout
-from daemon.progress import Report, progress_line
-from daemon.session.library import begin, finish, resume, unfinished
+from daemon.run_rounds import Rounds, Wishes
+from daemon.run_screen import Screen
+from daemon.session.library import begin, resume, unfinished
 from daemon.session.store import Session
-from daemon.terminal import print_summary
+from mission.site_file import read_site_file
 
 if TYPE_CHECKING:
     from daemon.flight_link import FlightLink
@@ -106,6 +99,15 @@ def run_command(
         list[str] | None,
         typer.Option("--same", metavar="FILE=N", help="This file is the vehicle's Nth photo."),
     ] = None,
+    site: Annotated[
+        Path | None, typer.Option(metavar="FILE", help="Site file: limits that an extra pass keeps.")
+    ] = None,
+    offer_refly: Annotated[
+        bool, typer.Option("--offer-refly", help="Offer to upload the extra pass that the verdict asks for.")
+    ] = False,
+    yes: Annotated[
+        bool, typer.Option("--yes", help="Upload the extra pass without asking: your word in advance.")
+    ] = False,
     allow_commands: Annotated[
         bool, typer.Option("--allow-commands", help="Take commands with the token (off unless given).")
     ] = False,
@@ -126,19 +128,25 @@ def run_command(
         check_writable(out)
     if reference is not None:
         load_reference(reference)
-    talkative = not quiet and json_to != "-"
+    if site is not None:
+        read_site_file(site)
     hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
+    screen = Screen(talkative=not quiet and json_to != "-", hidden=hidden)
+    if offer_refly and not yes and (sys.stdin is None or not sys.stdin.isatty() or not screen.talkative):
+        raise InputError("Nobody is there to ask before the extra pass is uploaded: add --yes, or no offer.")
+    wishes = Wishes(out, json_to, quiet, geotag, site, offer_refly, yes)
     with ExitStack() as stack:
         session = stack.enter_context(resume(session_name)) if going_on else None
         options = _options(session, photos, reference, vehicle, idle, count, link, anchors)
-        if options.link is None and (forward is not None or geotag is not None or anchors):
-            raise InputError("--forward, --geotag and --same need the vehicle: add --link ADDRESS.")
-        line = stack.enter_context(progress_line(hidden, "waiting for photos"))
+        if options.link is None and (forward is not None or geotag is not None or anchors or offer_refly):
+            raise InputError(
+                "--forward, --geotag, --same and --offer-refly need the vehicle: add --link ADDRESS."
+            )
         bus: Bus | None = None
         flight: Flight | None = None
 
         def tell(message: Message) -> None:
-            _show(message, line, talkative)
+            screen.show(message)
             if bus is not None:
                 bus.tell(message)
 
@@ -164,46 +172,13 @@ def run_command(
         told = None if source is None else stack.enter_context(_follow(source, session))
         solver = Solver()
         stack.callback(solver.close)
-        if talkative:
+        if screen.talkative:
             print(f"Flight {session.folder.name}: photos from {printable(str(options.folder))}.")
             print("Ctrl-C: no more photos, give the verdict. Twice: leave; `fieldcal run --resume` goes on.")
             if options.link is not None:
                 print(f"The vehicle is listened to on {printable(options.link)}.")
         flight = Flight(session, options, solver, tell, link=told)
-        with _interrupts(flight.finish):
-            while not flight.over:
-                flight.step()
-        try:
-            result = flight.conclude()
-        except FieldcalError as error:
-            if bus is not None:
-                bus.tell(Log(vehicle=options.vehicle, at=datetime.now(UTC), level="error", text=str(error)))
-            raise
-        result = replace(result, exports=write_outputs(result, session.folder))
-        if out is not None:
-            write_outputs(result, out)
-        if geotag is not None:
-            folder = session.folder / geotag.value
-            tell(
-                Log(
-                    vehicle=options.vehicle,
-                    at=datetime.now(UTC),
-                    level="info",
-                    text=tag_photos(session, folder, geotag).sentence(folder),
-                )
-            )
-        finish(session)
-        flight.ended()
-        report_in = out or session.folder
-    if json_to == "-":
-        write_stdout(report_json(result))
-    elif json_to is not None:
-        write_text_atomic(Path(json_to), report_json(result))
-    if quiet and json_to != "-":
-        print(f"{VERDICT_WORDS[result.verdict]}: {printable(result.headline)}")
-    elif not quiet:
-        print_summary(result, console(json_to == "-"), report_in / REPORT_HTML)
-    return result.verdict.exit_code
+        return Rounds(flight, session, told, screen, wishes, options.vehicle, tell).run().exit_code
 
 
 def _bus(vehicle: str, settings: Settings, answers: Answers, commands: Commands | None) -> Bus | None:
@@ -273,43 +248,3 @@ def _follow(source: Link | Replay, session: Session) -> FlightLink:
     from daemon.flight_link import FlightLink
 
     return FlightLink(source, session)
-
-
-@contextmanager
-def _interrupts(first: Callable[[], None]) -> Iterator[None]:
-    """The first Ctrl-C calls ``first``; further ones interrupt as always."""
-    usual = signal.getsignal(signal.SIGINT)
-
-    def once(number: int, frame: FrameType | None) -> None:
-        del number, frame
-        signal.signal(signal.SIGINT, usual)
-        first()
-
-    signal.signal(signal.SIGINT, once)
-    try:
-        yield
-    finally:
-        signal.signal(signal.SIGINT, usual)
-
-
-def _show(message: Message, line: Report, talkative: bool) -> None:
-    """One message in the terminal: the progress line moves, words and verdicts so far are printed."""
-    if isinstance(message, Progress):
-        line(message.stage, message.done, message.of or 0)
-    elif isinstance(message, Capture) and message.photos == 0:
-        line("waiting for photos", 0, 0)
-    elif isinstance(message, Log) and talkative:
-        print(printable(message.text), flush=True)
-    elif isinstance(message, Verdict) and talkative and not message.final:
-        print(so_far(message), flush=True)
-
-
-def so_far(verdict: Verdict) -> str:
-    """A provisional verdict in a line."""
-    known = []
-    if verdict.sigma_f_percent is not None:
-        known.append(f"focal length known to {verdict.sigma_f_percent:.2g} %")
-    if verdict.dome_percent is not None:
-        known.append(f"dome {verdict.dome_percent:.2g} % of the height")
-    words = verdict.verdict.replace("_", " ")
-    return f"So far {words}: {verdict.photos} photos, {', '.join(known)}." if known else f"So far {words}."

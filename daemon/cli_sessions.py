@@ -7,7 +7,9 @@ from typing import Annotated
 
 import typer
 
+from calib.errors import InputError
 from calib.wording import VERDICT_WORDS, printable
+from daemon.capture.tagging import Kind, tag_photos
 from daemon.output import console, table, write_json
 from daemon.session.as_json import session_json, state_of, summary_json
 from daemon.session.export import export_session
@@ -17,7 +19,7 @@ from daemon.session.reader import SessionReader
 LIST_SCHEMA = "fieldcal.sessions/1"
 
 app = typer.Typer(
-    help="List, show and export recorded flights.", invoke_without_command=True, rich_markup_mode=None
+    help="List, show, geotag and export recorded flights.", invoke_without_command=True, rich_markup_mode=None
 )
 NameArgument = Annotated[
     str, typer.Argument(metavar="NAME", help="A flight, or the beginning of its name that no other has.")
@@ -30,7 +32,7 @@ JsonOption = Annotated[
 
 @app.callback()
 def sessions(context: typer.Context) -> None:
-    """List, show and export recorded flights."""
+    """List, show, geotag and export recorded flights."""
     if context.invoked_subcommand is None:
         list_flights()
 
@@ -117,6 +119,23 @@ def export(
     did = "Replaced" if done.replaced else "Wrote"
     size = f"{done.size_bytes / 1e6:.1f} MB" if done.size_bytes >= 1e5 else f"{done.size_bytes / 1e3:.0f} kB"
     out.print(f"{did} {printable(str(done.target))} ({done.files} files, {size}).")
+
+
+@app.command()
+def geotag(
+    name: NameArgument,
+    out_dir: Annotated[
+        Path | None, typer.Option("--out", metavar="DIR", help="Where to (default: the flight's folder).")
+    ] = None,
+    kind: Annotated[Kind, typer.Option("--as", help="Copies of the photos, or XMP files.")] = Kind.SIDECARS,
+) -> None:
+    """Write the positions from the vehicle's link for photos that have none; originals stay as they are."""
+    with SessionReader.open(find(name)) as session:
+        if not session.counts().triggers:
+            raise InputError(f"No vehicle told of photos in flight {session.folder.name}: nothing to write.")
+        folder = out_dir or session.folder / kind.value
+        done = tag_photos(session, folder, kind)
+    console().print(printable(done.sentence(folder)), soft_wrap=True)
 
 
 def _verdict_words(summary: Summary) -> str:

@@ -13,11 +13,12 @@ from rich.text import Text
 
 from calib.errors import InputError
 from calib.wording import printable
-from daemon.cli_run import MISSING, ConfigOption, ConnectOption, ListenOption, so_far
+from daemon.cli_run import MISSING, ConfigOption, ConnectOption, ListenOption
 from daemon.live.commands import default_token_file, read_token
 from daemon.live.schemas import Capture, Link, Progress, Status, Verdict
 from daemon.live.settings import Settings
 from daemon.output import console, table, write_json
+from daemon.run_screen import so_far
 
 if TYPE_CHECKING:
     from daemon.live.fleet import Fleet, Vehicle

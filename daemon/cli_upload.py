@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import sys
 from contextlib import ExitStack
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -13,7 +14,7 @@ from rich.console import Console
 from calib.errors import FieldcalError, InputError
 from calib.wording import path_text, printable
 from daemon.output import console, table
-from daemon.progress import Report, progress_line
+from daemon.progress import late_line, progress_line
 from daemon.session.library import sessions_folder
 from mission.rule import Finding
 
@@ -125,15 +126,7 @@ def _transact(link: Link, loaded: Loaded, yes: bool, holding: bool, kept: Path, 
     from daemon.link.upload import Terms
     from daemon.link.upload import upload as transaction
 
-    line: Report | None = None
-    with ExitStack() as stack:
-
-        def report(step: str, done: int, total: int) -> None:
-            nonlocal line
-            if line is None:  # only now: the question has been answered
-                line = stack.enter_context(progress_line(hidden, step))
-            line(step, done, total)
-
+    with late_line(partial(progress_line, hidden)) as report:
         terms = Terms(holding=holding)
         return transaction(link, loaded.mission, lambda: yes or _ask(link), kept, terms, report)
 

@@ -22,7 +22,7 @@ from calib.result import CheckResult, Timing
 from daemon.advice import what_to_fly
 from daemon.capture.hot_folder import Arrival, HotFolder, Poll
 from daemon.capture.matching import Arrived, Matching, completed
-from daemon.flight_messages import capture_message, verdict_message
+from daemon.flight_messages import capture_message, paired_words, verdict_message
 from daemon.live.schemas import Link, Log, Message, Progress, Status
 from daemon.session.rows import ClockName, Event, PhotoFile, SolutionRecord, Stamp, VerdictRecord
 from daemon.session.store import Session
@@ -91,6 +91,9 @@ class Flight:
         self._phase: Phase = "waiting"
         self._degraded: tuple[str, ...] = ()
         self._over = False
+        # Photos that a final verdict has seen: only others are waited for.
+        self._from = 0
+        self._count = options.count
         self._seq = session.counts().photos
         self._trying_for = self._trying_seq = 0
         self._told: object = None
@@ -107,10 +110,12 @@ class Flight:
         """Whether it is time for :meth:`conclude`."""
         if self._over:
             return True
-        if self._options.count is not None and self._poll.whole >= self._options.count:
+        if self._count is not None and self._poll.whole >= self._count:
             return True
         idle_s, link = self._options.idle_s, self._link
-        if idle_s == 0 or not self._photos or self._poll.fault or (link is not None and link.flying):
+        if idle_s == 0 or self._poll.whole <= self._from or not self._photos or self._poll.fault:
+            return False
+        if link is not None and link.flying:
             return False
         moved_s = self._moved_s
         if link is not None:
@@ -184,6 +189,15 @@ class Flight:
         self._record(result, seq, final=True)
         return result
 
+    def go_on(self, photos: int) -> None:
+        """Collect again after a final verdict: an extra pass of so many photos is to be flown."""
+        self._over, self._from = False, self._poll.whole
+        if self._count is not None:
+            self._count = self._poll.whole + photos
+        if self._link is not None:
+            self._link.flies_again()
+        self._enter("collecting")
+
     def ended(self) -> None:
         """Tell that it is over."""
         self._enter("ended")
@@ -224,8 +238,9 @@ class Flight:
         self._link.poll()
         for level, text in self._link.news():
             self._say(text, level)
-        if self._matching.look(self._photos, at_once) and at_once and self._matching.pairing.advice:
-            self._say(self._matching.pairing.advice, "warning")
+        self._matching.look(self._photos, at_once)
+        if at_once:
+            self._say(paired_words(self._matching.pairing, len(self._photos), self._link.book))
 
     def _completed(self, photos: Sequence[Photo]) -> Sequence[Photo]:
         """The photos with positions and angles of their triggers, where they have none themselves."""
@@ -313,6 +328,7 @@ class Flight:
         newest = self._session.latest_verdict()
         if newest is not None:
             value = newest.value
+            self._from = value.photos if value.final else 0
             self._tell(
                 verdict_message(self._options.vehicle, dict(value.report), value.final, newest.recorded)
             )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Literal
 
 from daemon.capture.recent import Recent
@@ -24,7 +25,8 @@ from daemon.link.transfer import ReadParameters
 from daemon.live import schemas
 from daemon.session.rows import ClockName, Event, Stamp
 from daemon.session.store import Session
-from mission.feasibility import NAMES
+from mission.encode import Flavour
+from mission.feasibility import NAMES, Place
 
 LOG_FILE = "link.tlog"
 AIRBORNE, LANDED = "vehicle.airborne", "vehicle.landed"
@@ -113,6 +115,28 @@ class FlightLink(Closing):
     @property
     def degraded(self) -> tuple[str, ...]:
         return self._degraded
+
+    @property
+    def flavour(self) -> Flavour:
+        """Whose missions the vehicle takes; ArduPilot's while it is not known."""
+        return "px4" if self.source.state.autopilot is ev.Autopilot.PX4 else "ardupilot"
+
+    @property
+    def place(self) -> Place | None:
+        """Where the vehicle is, as far as it knows."""
+        at = self.source.state.last(ev.Position)
+        return None if at is None else Place(at.latitude_deg, at.longitude_deg)
+
+    @property
+    def launch(self) -> tuple[float, float] | None:
+        """Where it was switched on or armed, degrees: mission heights count from there."""
+        home = self.source.state.last(ev.HomePosition)
+        return None if home is None else (home.latitude_deg, home.longitude_deg)
+
+    def flies_again(self) -> None:
+        """A further flight is expected: the landing before it is no end."""
+        self._airborne = replace(self._airborne, flown=False)
+        self.moved_s = self._clock()
 
     def news(self) -> list[News]:
         """What happened since the last time, for people."""

@@ -7,6 +7,7 @@ from typing import Any
 
 from daemon.capture.hot_folder import Poll
 from daemon.capture.matching import Matching, parted
+from daemon.capture.records import Pairing
 from daemon.capture.trigger_book import TriggerBook
 from daemon.live.schemas import Capture, FindingLine, Verdict
 
@@ -30,6 +31,15 @@ def capture_message(
         sure=len(pairing.sure_pairs),
         warning=warning or parted(pairing, book.count, len(book.lost)),
     )
+
+
+def paired_words(pairing: Pairing, photos: int, book: TriggerBook) -> str:
+    """How photos and triggers came together, for people."""
+    if not book.count:
+        return "The vehicle told of no photo, so none gets a position from it."
+    found = f"{len(pairing.sure_pairs)} of {photos} files are surely among them."
+    sure = f"The vehicle told of {book.count} photos; {found}"
+    return " ".join(filter(None, (sure, parted(pairing, book.count, len(book.lost)), pairing.advice)))
 
 
 def verdict_message(vehicle: str, report: dict[str, Any], final: bool, at: datetime) -> Verdict:

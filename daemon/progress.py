@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager
 
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, SpinnerColumn, TextColumn
@@ -35,5 +35,20 @@ def progress_line(hidden: bool, first: str) -> Iterator[Report]:
 
         def report(stage: str, done: int, total: int) -> None:
             bar.update(task, description=stage, completed=done if total else 0, total=total or None)
+
+        yield report
+
+
+@contextmanager
+def late_line(opened: Callable[[str], AbstractContextManager[Report]]) -> Iterator[Report]:
+    """A line that appears with its first report, so that a question can be asked before."""
+    line: Report | None = None
+    with ExitStack() as stack:
+
+        def report(stage: str, done: int, total: int) -> None:
+            nonlocal line
+            if line is None:
+                line = stack.enter_context(opened(stage))
+            line(stage, done, total)
 
         yield report

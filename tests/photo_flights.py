@@ -55,16 +55,22 @@ class Card:
     def _write(self, number: int, photo: PhotoTaken) -> None:
         moment = datetime.fromtimestamp(self.server.vehicle.options.boot_utc_s, UTC)
         moment += timedelta(seconds=photo.boot_s + self.clock_s)
-        noise = np.random.default_rng(number).integers(0, 255, (48, 64, 3), dtype=np.uint8)
-        exif, tags = Image.Exif(), ExifTags.Base
-        exif[tags.Make], exif[tags.Model] = "SONY", "ILCE-6000"
-        details = exif.get_ifd(ExifTags.IFD.Exif)
-        details[tags.DateTimeOriginal] = moment.strftime("%Y:%m:%d %H:%M:%S")
-        if not self.whole_seconds:
-            details[tags.SubsecTimeOriginal] = f"{moment.microsecond // 10_000:02d}"
-        part = self.folder / f"{self.name(number)}.part"
-        Image.fromarray(noise).save(part, "JPEG", exif=exif)
-        part.rename(self.folder / self.name(number))
+        bare_photo(self.folder / self.name(number), moment, number, self.whole_seconds)
+
+
+def bare_photo(path: Path, moment: datetime, seed: int, whole_seconds: bool) -> Path:
+    """A small JPEG with a time and without a position, there at once."""
+    noise = np.random.default_rng(seed).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    exif, tags = Image.Exif(), ExifTags.Base
+    exif[tags.Make], exif[tags.Model] = "SONY", "ILCE-6000"
+    details = exif.get_ifd(ExifTags.IFD.Exif)
+    details[tags.DateTimeOriginal] = moment.strftime("%Y:%m:%d %H:%M:%S")
+    if not whole_seconds:
+        details[tags.SubsecTimeOriginal] = f"{moment.microsecond // 10_000:02d}"
+    part = path.with_suffix(".part")
+    Image.fromarray(noise).save(part, "JPEG", exif=exif)
+    part.rename(path)
+    return path
 
 
 @dataclass

@@ -52,7 +52,7 @@ COMMANDS = (
     ("upload",),
     ("doctor",),
     ("sessions",),
-    *(("sessions", sub) for sub in ("list", "show", "export")),
+    *(("sessions", sub) for sub in ("list", "show", "export", "geotag")),
     ("run",),
     ("status",),
 )
@@ -153,7 +153,7 @@ def test_no_option_is_invented(name: str, options: dict[tuple[str, ...], set[str
         ("docs/cameras.md", [("cameras", "import"), ("cameras", "export")]),
         ("docs/simulator.md", [("sim", "survey"), ("sim", "vehicle")]),
         ("docs/upload.md", [("upload",), ("doctor",)]),
-        ("docs/sessions.md", [("sessions", "export")]),
+        ("docs/sessions.md", [("sessions", "export"), ("sessions", "geotag")]),
         ("docs/run.md", [("run",)]),
         ("docs/live.md", [("status",)]),
         ("docs/calibrate.md", [("calibrate", "wall"), ("calibrate", "orbit"), ("calibrate", "control")]),

@@ -187,3 +187,19 @@ def test_what_was_recorded_is_there_the_second_time(scene: Callable[..., Scene],
         with pytest.raises(AlignmentError):
             there.flight.conclude()
         assert any("P_0001.JPG" in text and "not in" in text for text in there.said())
+
+
+def test_an_extra_pass_is_waited_for_until_its_photos_come(scene: Callable[..., Scene]) -> None:
+    here = scene(idle_s=30.0, count=2)
+    here.photos(1, 2)
+    here.run(3)
+    assert here.flight.over
+    here.flight.go_on(2)
+    here.run(100)
+    assert not here.flight.over
+    here.photos(3)
+    here.run(10)
+    assert not here.flight.over
+    here.photos(4)
+    here.run(3)
+    assert here.flight.over

@@ -163,17 +163,18 @@ def parted(pairing: Pairing, count: int, lost: int) -> str | None:
     parts = []
     missing = sum(first < trigger.time_s < last for trigger in pairing.triggers_without_photo)
     if missing:
-        parts.append(f"{missing} of {count} triggers have no photo")
+        parts.append(f"triggers without photo: {missing} of {count}")
     if lost:
-        parts.append(f"{lost} triggers were not heard")
+        parts.append(f"triggers not heard: {lost}")
     camera_s = (
         max(pair.shot.time_s for pair in pairing.pairs),
         min(pair.shot.time_s for pair in pairing.pairs),
     )
     lonely = sum(camera_s[1] < shot.time_s < camera_s[0] for shot in pairing.photos_without_trigger)
     if lonely:
-        parts.append(f"{lonely} photos have no trigger")
-    return f"{', '.join(parts)}." if parts else None
+        parts.append(f"photos without trigger: {lonely}")
+    text = "; ".join(parts)
+    return f"{text[0].upper()}{text[1:]}." if parts else None
 
 
 def _content(pairing: Pairing) -> object:

@@ -33,13 +33,13 @@ class Tagged:
     unsure: int = 0
 
     def sentence(self, folder: Path) -> str:
-        parts = [f"{self.written} photos got their position, in {folder}"]
+        parts = [f"Photos that got a position, in {folder}: {self.written}"]
         for count, text in (
-            (self.own, "have their own and were left alone"),
-            (self.unsure, "have none: no trigger is surely theirs"),
-            (self.away, "cannot be read any more"),
+            (self.own, "with a position of their own, left alone"),
+            (self.unsure, "without a trigger that is surely theirs"),
+            (self.away, "that cannot be read any more"),
         ):
-            parts += [f"{count} {text}"] if count else []
+            parts += [f"{text}: {count}"] if count else []
         return f"{'; '.join(parts)}."
 
 
@@ -58,17 +58,14 @@ def tag_photos(session: SessionReader, folder: Path, kind: Kind) -> Tagged:
     top = Path(os.path.commonpath([path.parent for path in rows.values()])) if rows else folder
     written = own = away = unsure = 0
     for seq, path in sorted(rows.items()):
-        tag = places.get(numbers.get(seq, 0))
-        if tag is None:
-            unsure += 1
-            continue
         try:
             has_own = read_photo(path).position is not None
         except PhotoError:
             away += 1
             continue
-        if has_own:
-            own += 1
+        tag = places.get(numbers.get(seq, 0))
+        if has_own or tag is None:
+            own, unsure = own + has_own, unsure + (not has_own)
             continue
         target = folder / path.relative_to(top)
         with output_errors(target.parent):

@@ -23,6 +23,8 @@ from daemon.session.store import Session
 SESSIONS_VARIABLE = "FIELDCAL_SESSIONS"
 #: The event that ends a flight; a flight without it can be resumed.
 FINISHED = "session.finished"
+#: After it more photos are expected all the same.
+REOPENED = "session.reopened"
 _LONGEST_NAME = 80
 
 
@@ -106,6 +108,11 @@ def begin(label: str = "flight", clock: Clock = system_clock) -> Session:
 def finish(session: Session, clock: Clock = system_clock) -> None:
     """Record that the flight is over. Raises as :meth:`Session.add_event`."""
     session.add_event(Event(FINISHED, Stamp(clock().timestamp(), ClockName.UTC)))
+
+
+def reopen(session: Session, clock: Clock = system_clock) -> None:
+    """Record that the flight goes on though it was over. Raises as :meth:`Session.add_event`."""
+    session.add_event(Event(REOPENED, Stamp(clock().timestamp(), ClockName.UTC)))
 
 
 def names() -> tuple[str, ...]:
@@ -196,13 +203,18 @@ def unfinished(session: SessionReader) -> Unfinished:
     paired = 0 if pairs is None else len(pairs.pairs)
     judged = 0 if verdict is None else min(verdict.value.photos, counts.photos)
     return Unfinished(
-        ended=bool(session.events(FINISHED)),
+        ended=_ended(session),
         unseen_photos=counts.photos - seen,
         lonely_photos=max(seen - paired, 0) if counts.triggers else 0,
         lonely_triggers=max(counts.triggers - paired, 0),
         behind=counts.photos - judged,
         final_verdict=verdict is not None and verdict.value.final,
     )
+
+
+def _ended(session: SessionReader) -> bool:
+    finished, reopened = session.events(FINISHED), session.events(REOPENED)
+    return bool(finished) and (not reopened or reopened[-1].seq < finished[-1].seq)
 
 
 def _slug(text: str) -> str:

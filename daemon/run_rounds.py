@@ -1,0 +1,156 @@
+"""The course of `fieldcal run`: collect, conclude, hand over; again where an extra pass is flown."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, replace
+from datetime import UTC, datetime
+from pathlib import Path
+from types import FrameType
+from typing import TYPE_CHECKING, Literal
+
+from calib.errors import FieldcalError
+from calib.files import write_text_atomic
+from calib.findings import Verdict
+from calib.output import REPORT_HTML, write_outputs
+from calib.report_json import report_json
+from calib.result import CheckResult
+from calib.wording import VERDICT_WORDS, printable
+from daemon.capture.tagging import Kind, tag_photos
+from daemon.cli_upload import backup_folder
+from daemon.flight import Flight
+from daemon.live.schemas import Log, Message
+from daemon.output import console, write_stdout
+from daemon.refly_offer import Pass, find_pass, offer
+from daemon.run_screen import Screen
+from daemon.session.library import finish, reopen
+from daemon.session.store import Session
+from daemon.terminal import print_summary
+
+if TYPE_CHECKING:
+    from daemon.flight_link import FlightLink
+
+#: Extra passes are offered so often: what two have not cured a third will not.
+MOST_PASSES = 2
+
+
+@dataclass(frozen=True)
+class Wishes:
+    """What becomes of the result. ``yes``: the operator's word for an upload, given in advance."""
+
+    out: Path | None = None
+    json_to: str | None = None
+    quiet: bool = False
+    geotag: Kind | None = None
+    site: Path | None = None
+    offer_refly: bool = False
+    yes: bool = False
+
+
+class Rounds:
+    """One flight from its first photo to its last verdict."""
+
+    def __init__(
+        self,
+        flight: Flight,
+        session: Session,
+        told: FlightLink | None,
+        screen: Screen,
+        wishes: Wishes,
+        vehicle: str,
+        tell: Callable[[Message], None],
+    ) -> None:
+        self._flight, self._session, self._told = flight, session, told
+        self._screen, self._wishes = screen, wishes
+        self._vehicle, self._tell = vehicle, tell
+
+    def run(self) -> Verdict:
+        """The last verdict.
+
+        Raises:
+            FieldcalError: the photos cannot be used, or something cannot be written.
+        """
+        for number in range(MOST_PASSES + 1):
+            result = self._round()
+            found = self._extra_pass(result)
+            if found is None or number == MOST_PASSES or not self._uploaded(found):
+                break
+            reopen(self._session)
+            self._flight.go_on(found.photos)
+            self._say("Fly it when you are ready: its photos are waited for. Ctrl-C ends without them.")
+        self._flight.ended()
+        if self._wishes.json_to == "-":
+            write_stdout(report_json(result))
+        return result.verdict
+
+    def _round(self) -> CheckResult:
+        wishes, session = self._wishes, self._session
+        with self._screen.busy("waiting for photos"):
+            with _interrupts(self._flight.finish):
+                while not self._flight.over:
+                    self._flight.step()
+            try:
+                result = self._flight.conclude()
+            except FieldcalError as error:
+                self._tell(self._log(str(error), "error"))
+                raise
+        result = replace(result, exports=write_outputs(result, session.folder))
+        if wishes.out is not None:
+            write_outputs(result, wishes.out)
+        if wishes.geotag is not None:
+            folder = session.folder / wishes.geotag.value
+            self._say(tag_photos(session, folder, wishes.geotag).sentence(folder))
+        finish(session)
+        if wishes.json_to not in (None, "-"):
+            write_text_atomic(Path(str(wishes.json_to)), report_json(result))
+        if wishes.quiet and wishes.json_to != "-":
+            print(f"{VERDICT_WORDS[result.verdict]}: {printable(result.headline)}", flush=True)
+        elif not wishes.quiet:
+            report = (wishes.out or session.folder) / REPORT_HTML
+            print_summary(result, console(wishes.json_to == "-"), report)
+        return result
+
+    def _extra_pass(self, result: CheckResult) -> Pass | None:
+        """Found, told and in the flight's folder; None where nothing is to be flown."""
+        if result.verdict is not Verdict.REFLY:
+            return None
+        told = self._told
+        launch, flavour = (None, "ardupilot") if told is None else (told.launch, told.flavour)
+        with self._screen.busy("planning the extra pass"):
+            found = find_pass(self._session, self._wishes.site, launch, flavour)
+        self._say(f"Extra pass: {found.text}")
+        return found if found.photos else None
+
+    def _uploaded(self, found: Pass) -> bool:
+        told = self._told
+        if told is None or not self._wishes.offer_refly:
+            return False
+        return offer(told, self._session, found, self._word, backup_folder(), self._say, self._screen.busy)
+
+    def _word(self) -> bool:
+        return self._wishes.yes or self._screen.ask("Upload the extra pass to the vehicle?")
+
+    def _say(self, text: str) -> None:
+        self._tell(self._log(text))
+
+    def _log(self, text: str, level: Literal["info", "error"] = "info") -> Log:
+        return Log(vehicle=self._vehicle, at=datetime.now(UTC), level=level, text=text)
+
+
+@contextmanager
+def _interrupts(first: Callable[[], None]) -> Iterator[None]:
+    """The first Ctrl-C calls ``first``; further ones interrupt as always."""
+    usual = signal.getsignal(signal.SIGINT)
+
+    def once(number: int, frame: FrameType | None) -> None:
+        del number, frame
+        signal.signal(signal.SIGINT, usual)
+        first()
+
+    signal.signal(signal.SIGINT, once)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGINT, usual)

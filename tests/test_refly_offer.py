@@ -1,0 +1,162 @@
+"""The extra pass of a flight: found, written, offered to a simulated vehicle over real sockets."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
+
+from benchmarks.refly_optimality import flown
+from calib.findings import Verdict
+from calib.flown_file import NETWORK_FILE, FlownCheck, network_bytes
+from calib.frames import LocalFrame
+from daemon.flight_link import FlightLink, open_source
+from daemon.link.vehicle_mission import mission_differences
+from daemon.mission_file import load
+from daemon.refly_offer import FOLDER, MISSION, SHEET, UPLOADED, Pass, find_pass, offer
+from daemon.run_screen import Screen
+from daemon.session.library import finish, reopen, unfinished
+from daemon.session.store import Session
+from mission import encode
+from mission.encode import Flavour
+from sim.faults import LineFaults, Proxy
+from sim.vehicle import VehicleOptions, VehicleServer
+from sim.vehicle.pilot import Mode
+from tests.link_flights import until
+
+
+@pytest.fixture(scope="module")
+def check() -> FlownCheck:
+    return flown(2, 60.0, 110.0, (4, 7), 5000).check
+
+
+@pytest.fixture
+def session(check: FlownCheck, tmp_path: Path) -> Iterator[Session]:
+    with Session.create(tmp_path / "record") as made:
+        (made.folder / NETWORK_FILE).write_bytes(network_bytes(check))
+        yield made
+
+
+def launch_of(check: FlownCheck) -> tuple[float, float]:
+    assert check.origin_wgs84 is not None
+    return check.origin_wgs84[0], check.origin_wgs84[1]
+
+
+@dataclass
+class Bench:
+    told: FlightLink
+    server: VehicleServer
+    found: Pass
+    session: Session
+    said: list[str] = field(default_factory=list)
+    asked: int = 0
+
+    def offer(self, yes: bool = True, patience_s: float = 0.6) -> bool:
+        def word() -> bool:
+            self.asked += 1
+            return yes
+
+        busy = Screen(talkative=True, hidden=True).busy
+        kept = self.session.folder / "kept"
+        return offer(self.told, self.session, self.found, word, kept, self.said.append, busy, patience_s)
+
+    def holds_it(self, flavour: Flavour) -> bool:
+        assert self.found.mission is not None
+        items = load(self.found.mission, flavour).mission.items
+        return mission_differences(items, self.server.vehicle.transfer.mission, flavour) == []
+
+
+@contextmanager
+def bench(flavour: Flavour, check: FlownCheck, session: Session, north_deg: float = 0.0) -> Iterator[Bench]:
+    latitude, longitude = launch_of(check)
+    home = LocalFrame(latitude + north_deg, longitude, 10.0)
+    with (
+        Proxy(LineFaults()) as proxy,
+        VehicleServer(VehicleOptions(flavour, home), proxy.vehicle_address) as server,
+        FlightLink(open_source(proxy.url), session) as told,
+    ):
+
+        def known() -> bool:
+            told.poll()
+            return told.place is not None and told.launch is not None
+
+        until(known)
+        yield Bench(told, server, find_pass(session, None, told.launch, told.flavour), session)
+
+
+@pytest.mark.parametrize("flavour", encode.FLAVOURS)
+def test_the_pass_is_uploaded_on_the_word(flavour: Flavour, check: FlownCheck, session: Session) -> None:
+    with bench(flavour, check, session) as here:
+        assert here.found.photos > 2
+        assert not here.offer(yes=False)
+        assert here.server.vehicle.transfer.mission == []
+        assert here.offer()
+        assert here.holds_it(flavour)
+        assert here.asked == 2
+        assert not here.server.vehicle.pilot.armed
+        assert here.server.vehicle.pilot.mode is Mode.MANUAL
+    assert "read back and compared" in here.said[-1]
+    (uploaded,) = session.events(UPLOADED)
+    assert uploaded.value.data == {"file": MISSION, "photos": here.found.photos}
+    files = {path.name for path in (session.folder / FOLDER).iterdir()}
+    assert {MISSION, SHEET, "pass.waypoints", "pass.kmz"} <= files
+    assert session.plans()[-1].value.content == (session.folder / FOLDER / MISSION).read_bytes()
+
+
+def test_a_vehicle_that_flies_is_waited_for(check: FlownCheck, session: Session) -> None:
+    with bench("ardupilot", check, session) as here:
+        pilot = here.server.vehicle.pilot
+        assert pilot.arm(True)
+        until(lambda: here.told.poll() is None and here.told.flying)
+        assert not here.offer()
+        assert here.asked == 0
+        assert "does not hold" in here.said[0]
+        assert "waited for long enough" in here.said[-1]
+        assert here.server.vehicle.transfer.mission == []
+        pilot.set_mode(Mode.HOLD)
+        assert here.offer(patience_s=10.0)
+        assert here.holds_it("ardupilot")
+        assert pilot.armed
+        assert pilot.mode is Mode.HOLD
+
+
+def test_what_may_not_be_flown_from_here_is_not_offered(check: FlownCheck, session: Session) -> None:
+    """The vehicle stands two kilometres from where the pass begins."""
+    with bench("px4", check, session) as here:
+        at = here.told.launch
+        assert at is not None
+        here.found = find_pass(session, None, (at[0] + 0.02, at[1]), "px4")
+        assert here.found.photos == 0 or not here.offer()
+        assert here.server.vehicle.transfer.mission == []
+
+
+def test_a_reason_where_there_is_no_pass(check: FlownCheck, session: Session, tmp_path: Path) -> None:
+    launch = launch_of(check)
+    low = tmp_path / "low.toml"
+    low.write_text("ceiling_m = 6.0\n")
+    assert find_pass(session, low, launch, "px4").photos == 0
+    assert "No extra pass was planned" in find_pass(session, None, (10.0, 10.0), "px4").text
+    trusted = replace(check, verdict=Verdict.TRUST)
+    (session.folder / NETWORK_FILE).write_bytes(network_bytes(trusted))
+    nothing = find_pass(session, None, launch, "px4")
+    assert (nothing.photos, nothing.mission) == (0, None)
+    lost = replace(check, origin_wgs84=None)
+    (session.folder / NETWORK_FILE).write_bytes(network_bytes(lost))
+    assert find_pass(session, None, launch, "px4").photos == 0
+    (session.folder / NETWORK_FILE).unlink()
+    assert "no network" in find_pass(session, None, launch, "px4").text
+    assert not (session.folder / FOLDER / MISSION).exists()
+
+
+def test_a_flight_that_is_reopened_can_be_gone_on_with(session: Session) -> None:
+    finish(session)
+    assert unfinished(session).ended
+    reopen(session)
+    assert not unfinished(session).ended
+    finish(session)
+    assert unfinished(session).ended
