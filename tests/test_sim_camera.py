@@ -166,7 +166,7 @@ def test_an_autopilot_s_simulator_and_a_camera_with_faults(tmp_path: Path) -> No
     assert len({photo.index for photo in taken}) == len(taken)
     far_m, turned_deg = apart(truth, taken)
     assert far_m < PLACE_M  # told in the photo's message
-    assert turned_deg < 1.0  # attitude and gimbal, at 10 and 5 Hz
+    assert turned_deg < 4.0  # between messages at 5 Hz; braking, it leans by 14 degrees within 0.2 s
 
 
 def test_ctrl_c_ends_it_with_the_truth_of_what_was_taken(tmp_path: Path) -> None:
