@@ -208,12 +208,18 @@ def _work(taking: Camera, once: bool, quiet: bool) -> None:
 
 
 def _teller(report: Report, line: Link) -> Callable[[Count], None]:
+    told: list[str | None] = [None]
+
     def tell(count: Count) -> None:
+        fault = line.health.fault
+        if fault is not None and fault != told[0]:
+            print(f"fieldcal: {fault[:1].upper()}{fault[1:]} Trying again.", file=sys.stderr)
+        told[0] = fault
         if not line.connected:
             report("waiting for a vehicle", 0, 0)
-        else:
-            behind = f", {count.behind_s:.0f} s behind" if count.behind_s >= 1 else ""
-            report(f"photos{behind}", count.written, count.due)
+            return
+        behind = f", {count.behind_s:.0f} s behind" if count.behind_s >= 1 else ""
+        report(f"photos{behind}", count.written, count.due)
 
     return tell
 
