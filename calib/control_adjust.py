@@ -197,6 +197,20 @@ def _moved(block: Block, step: FloatArray, columns: BoolArray, loose: IntArray) 
     )
 
 
+def mark_derivatives(marks: MarkSet, block: Block) -> tuple[FloatArray, FloatArray, FloatArray, FloatArray]:
+    """Projections (n, 2) of all marks and their derivatives by pose (n, 2, 6), point (n, 2, 3) and camera
+    (n, 2, 11). Pose: rotation vector on the camera's side, then centre."""
+    turn = block.rotations[marks.photo]
+    local = in_camera(marks, block)
+    depth = np.where(local[:, 2] > 1e-6, local[:, 2], 1e-6)
+    rays = local[:, :2] / depth[:, None]
+    pixels, by_ray, by_lens = block.camera.derivatives(rays)
+    by_cam = np.concatenate([by_ray, -(by_ray @ rays[:, :, None])], axis=2) / depth[:, None, None]
+    by_point = by_cam @ turn
+    by_pose = np.concatenate([np.cross(local[:, None, :], by_cam), -by_point], axis=2)
+    return pixels, by_pose, by_point, by_lens
+
+
 def _linearised(
     marks: MarkSet, block: Block, columns: BoolArray, loose: IntArray, used: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
@@ -204,18 +218,11 @@ def _linearised(
     k, p = len(block.rotations), int(columns.sum())
     index = np.flatnonzero(used)
     photo, point, n = marks.photo[index], marks.point[index], len(index)
-    turn = block.rotations[photo]
-    local = np.einsum("nij,nj->ni", turn, block.points_m[point] - block.centres_m[photo])
-    depth = np.where(local[:, 2] > 1e-6, local[:, 2], 1e-6)
-    rays = local[:, :2] / depth[:, None]
-    pixels, by_ray, by_lens = block.camera.derivatives(rays)
-    by_cam = np.concatenate([by_ray, -(by_ray @ rays[:, :, None])], axis=2) / depth[:, None, None]
+    pixels, by_pose, by_point, by_lens = (part[index] for part in mark_derivatives(marks, block))
     design = np.zeros((n, 2, 6 * k + p + 3 * len(loose)))
     row = np.arange(n)
-    by_turn, by_point = np.cross(local[:, None, :], by_cam), by_cam @ turn
-    for i in range(3):
-        design[row, :, 6 * photo + i] = by_turn[:, :, i]
-        design[row, :, 6 * photo + 3 + i] = -by_point[:, :, i]
+    for i in range(6):
+        design[row, :, 6 * photo + i] = by_pose[:, :, i]
     design[:, :, 6 * k : 6 * k + p] = by_lens[:, :, columns]
     position = np.full(len(block.points_m), -1)
     position[loose] = np.arange(len(loose))

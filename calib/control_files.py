@@ -1,7 +1,8 @@
 """Control and check points, and the marks of them in photos: files read strictly, in one sentence each.
 
-Points: CSV. Marks: CSV, OpenDroneMap's ``gcp_list.txt``, Metashape's exported markers (XML); the last two
-bring the points' coordinates along. Pixels count from the corner of the first pixel, as everywhere.
+Points: CSV, or Pix4D's without a header. Marks: the same, OpenDroneMap's ``gcp_list.txt``, Metashape's
+exported markers (XML); the last two bring the points' coordinates along. Pixels count from the corner
+of the first pixel, as everywhere.
 """
 
 from __future__ import annotations
@@ -24,8 +25,11 @@ _X, _Y, _Z = (
     ("y", "north", "northing", "n", "y_m"),
     ("z", "height", "up", "h", "z_m"),
 )
-_SIGMAS = (("sigma_x_m", "sx"), ("sigma_y_m", "sy"), ("sigma_z_m", "sz"))
+_SIGMAS = (("sigma_x_m", "sx", "sigma_xy_m"), ("sigma_y_m", "sy", "sigma_xy_m"), ("sigma_z_m", "sz"))
 _PHOTOS = ("photo", "image", "file", "filename", "image_name")
+#: Columns of Pix4D's files, which name none.
+_PIX4D_POINTS = ("name", "x", "y", "z", "sigma_xy_m", "sigma_z_m")
+_PIX4D_MARKS = ("photo", "point", "u_px", "v_px", "precision", "zoom")
 _U, _V = ("u", "u_px", "px", "column", "x_px", "im_x"), ("v", "v_px", "py", "row", "y_px", "im_y")
 
 
@@ -60,12 +64,12 @@ class Marks:
 
 def read_points(path: Path) -> tuple[ControlPoint, ...]:
     """Points from a CSV with a header: name, x, y, z, and where known sigma_x_m, sigma_y_m, sigma_z_m
-    (or sigma_m) and role (control or check).
+    (or sigma_m) and role (control or check); or as Pix4D writes them, without a header.
 
     Raises:
         FormatError: the file cannot be read or used; one sentence.
     """
-    rows, columns = _table(path)
+    rows, columns = _table(path, _PIX4D_POINTS)
     name = _column(path, columns, _NAMES, "name")
     axes = [_column(path, columns, wanted, wanted[0]) for wanted in (_X, _Y, _Z)]
     points: list[ControlPoint] = []
@@ -102,7 +106,7 @@ def read_marks(path: Path) -> Marks:
     lowered = first.lower()
     if lowered.startswith(("epsg:", "+proj", "wgs84")):
         return _odm(path, text)
-    rows, columns = _table(path)
+    rows, columns = _table(path, _PIX4D_MARKS)
     photo = _column(path, columns, _PHOTOS, "photo")
     point = _column(path, columns, _NAMES, "point")
     u, v = _column(path, columns, _U, "u_px"), _column(path, columns, _V, "v_px")
@@ -207,17 +211,22 @@ def _text(path: Path) -> str:
         raise FormatError(f"{path} is not a text file.") from error
 
 
-def _table(path: Path) -> tuple[list[tuple[int, list[str]]], dict[str, int]]:
-    """Rows with their line numbers, and the columns by their lower-case names."""
+def _table(path: Path, unnamed: tuple[str, ...]) -> tuple[list[tuple[int, list[str]]], dict[str, int]]:
+    """Rows with their line numbers, and the columns by their lower-case names.
+
+    ``unnamed``: what the columns are where the first line names none, as Pix4D writes them.
+    """
     text = _text(path)
     first = text.split("\n", 1)[0]
     delimiter = max(",;\t", key=first.count)
     if first.count(delimiter) == 0:
         raise FormatError(f"{path} is not a CSV table: its first line must name the columns.")
     rows = list(csv.reader(io.StringIO(text), delimiter=delimiter))
-    columns = {cell.strip().lstrip("#").strip().lower(): i for i, cell in enumerate(rows[0])}
+    named = not any(map(_is_number, rows[0][1:]))
+    header = rows[0] if named else unnamed[: len(rows[0])]
+    columns = {cell.strip().lstrip("#").strip().lower(): i for i, cell in enumerate(header)}
     body = []
-    for number, row in enumerate(rows[1:], 2):
+    for number, row in enumerate(rows[1:] if named else rows, 2 if named else 1):
         if not any(cell.strip() for cell in row) or row[0].lstrip().startswith("#"):
             continue
         if len(row) < len(rows[0]):
@@ -233,6 +242,14 @@ def _column(path: Path, columns: dict[str, int], wanted: tuple[str, ...], said: 
         if name in columns:
             return columns[name]
     raise FormatError(f"{path} has no column {said}; its columns are {', '.join(columns) or 'none'}.")
+
+
+def _is_number(text: str) -> bool:
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True
 
 
 def _number(path: Path, line: int | None, text: str) -> float:

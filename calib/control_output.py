@@ -13,6 +13,7 @@ import numpy as np
 from pydantic import Field
 
 from calib.control import ControlCalibration, coverage_hint
+from calib.control_subset import subsets
 from calib.figures import correlation_figure
 from calib.figures.control import control_profiles_figure, marks_figure
 from calib.findings import State
@@ -48,6 +49,15 @@ class ErrorModel(JsonModel):
     rmse_m: list[float | None]
 
 
+class SubsetModel(JsonModel):
+    """A calibration on the most telling photos; ``apart_sigmas``: of any parameter, from all photos."""
+
+    photos: list[str]
+    f_px: float
+    sigma_f_px: float
+    apart_sigmas: float
+
+
 class ControlReport(JsonModel):
     """The whole of ``control.json``: f, c, b in px, K and P in focal units; ``sigma`` of the free ones."""
 
@@ -61,6 +71,7 @@ class ControlReport(JsonModel):
     steps: list[StepModel]
     control: ErrorModel
     check: ErrorModel
+    subsets: list[SubsetModel]
     blunders: list[str]
     hint: str | None
     notes: list[str]
@@ -94,6 +105,15 @@ def control_report(made: ControlCalibration, saved_as: str | None = None) -> Con
         ],
         control=_errors(made, False),
         check=_errors(made, True),
+        subsets=[
+            SubsetModel(
+                photos=[printable(made.photos[i].path.name) for i in subset.photos],
+                f_px=subset.camera.f_px,
+                sigma_f_px=float(np.sqrt(subset.covariance[0, 0])),
+                apart_sigmas=subset.apart_sigmas,
+            )
+            for subset in subsets(made)
+        ],
         blunders=[printable(text) for text in made.blunders],
         hint=coverage_hint(made),
         notes=[printable(text) for text in made.notes],
@@ -148,7 +168,13 @@ def render_control(made: ControlCalibration, saved_as: str | None = None) -> str
     )
     facts = f"Calibration on control points · {camera_name(made.photos[0].camera)} · {summary(made)}"
     parts = [head, "<main>", f'<p class="facts">{sentence(facts)}</p>', _blunders(made), _steps(made)]
-    parts += [_points(made), figures_html(_figures(made)), _parameters(made), _provenance(made, saved_as)]
+    parts += [
+        _points(made),
+        _subsets(made),
+        figures_html(_figures(made)),
+        _parameters(made),
+        _provenance(made, saved_as),
+    ]
     return html_page(f"CALIBRATED: {camera_name(made.photos[0].camera)}", "\n".join([*parts, "</main>"]))
 
 
@@ -211,6 +237,26 @@ def _points(made: ControlCalibration) -> str:
         "Points",
         "Rms of the marks per coordinate; root mean square errors of the points from their marks, x y z.",
         ("Points", "Number", "Marks", "Marks rms", "x", "y", "z"),
+        rows,
+    )
+
+
+def _subsets(made: ControlCalibration) -> str:
+    rows = [
+        (
+            f"{len(subset.photos)} of {len(made.photos)}",
+            quantity(subset.camera.f_px, float(np.sqrt(subset.covariance[0, 0])), "px", 6),
+            f"{subset.apart_sigmas:.1f} sigma",
+        )
+        for subset in subsets(made)
+    ]
+    if not rows:
+        return ""
+    return _table(
+        "The most telling photos alone",
+        "Chosen one by one for what they add to the calibration; the largest difference of a parameter from "
+        "that of all photos, in sigmas of both.",
+        ("Photos", "f", "Apart"),
         rows,
     )
 

@@ -22,7 +22,7 @@ from calib.equifinal_published import radial_of
 from calib.errors import InputError
 from calib.propagation import radial_px_covariance
 from calib.reference import EquifinalLine, Reference
-from calib.solution import Dome, Estimate, Network, Solution
+from calib.solution import Dome, Estimate, HeldFit, Network, Solution
 
 #: Tilt off nadir from which a photo counts as convergent, and up to which [C&D] recommend.
 CONVERGENT_DEG, STEEP_DEG = 20.0, 45.0
@@ -106,6 +106,8 @@ class Evidence:
     converged: bool = True
     #: One sentence when the positions in the photos contradict the block.
     geotag_fault: str | None = None
+    #: How a lens held at the reference fits (None: it was free).
+    held: HeldFit | None = None
 
     @property
     def convergent_share(self) -> float | None:
@@ -123,6 +125,7 @@ def gather_evidence(
     reference: Reference | None,
     reference_note: str = "",
     tolerance_px: float = STRICT_TOLERANCE_PX,
+    held: HeldFit | None = None,
 ) -> Evidence:
     """Evidence from a solved block. ``reference`` must already be converted to its image size."""
     brown = estimate.brown
@@ -178,6 +181,7 @@ def gather_evidence(
         converged=solution.converged,
         # Too few positions to fit contradict nothing.
         geotag_fault=None if solution.georeference.rms_xy_m is None else solution.georeference.fault,
+        held=held,
     )
 
 

@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from calib.evidence import Evidence
 from calib.findings import Finding, State, Verdict
-from calib.limits import percent, reference_decides
-from calib.rules import RULES
+from calib.limits import DOME_LIMIT_PERCENT, Z95, percent, reference_decides
+from calib.rules import HELD_RULES, RULES
 
 #: Flags that say which geometry is missing; more photos cure them even where the block is faulty.
 GEOMETRY = frozenset({"convergent-share", "focal-sigma"})
@@ -77,6 +77,40 @@ def judge(evidence: Evidence) -> tuple[Verdict, str, tuple[Finding, ...]]:
     if open_rules:
         return Verdict.CANNOT_TELL, by_rule[open_rules[0]].message, findings
     return Verdict.TRUST, _trusted(evidence), findings
+
+
+def judge_held(evidence: Evidence) -> tuple[Verdict, str, tuple[Finding, ...]]:
+    """The same for a survey whose lens was held at a reference.
+
+    * REFLY: the photos contradict the reference, or the block bends. Convergent photos cure it: with them
+      this lens, as it is now, can be calibrated.
+    * TRUST: nothing speaks against the reference, and the photos or their positions exclude a dome.
+    * CANNOT TELL: nothing speaks against it, but a dome could not have been seen; or the block is broken.
+    """
+    findings = tuple(rule(evidence) for rule in HELD_RULES)
+    by_rule = {finding.rule: finding for finding in findings}
+    if by_rule["alignment"].state is State.FLAG:
+        return Verdict.CANNOT_TELL, by_rule["alignment"].message, findings
+    for rule in ("reference-fit", "radial-residuals", "predicted-dome", "position-dome"):
+        if by_rule[rule].state is State.FLAG:
+            return Verdict.REFLY, by_rule[rule].message, findings
+    domes = (by_rule["predicted-dome"], by_rule["position-dome"])
+    if by_rule["reference-fit"].state is State.PASS and any(d.state is State.PASS for d in domes):
+        return (
+            Verdict.TRUST,
+            f"Nothing speaks against reference {evidence.reference_name}, at which the lens was held, and "
+            f"the photos would have shown a dome of more than {DOME_LIMIT_PERCENT:g} % of the height.",
+            findings,
+        )
+    room = evidence.sigma_dome_percent
+    unseen = "a dome" if room is None else f"a dome of up to {percent(Z95 * room)} of the height"
+    return (
+        Verdict.CANNOT_TELL,
+        f"Nothing speaks against reference {evidence.reference_name}, at which the lens was held, but "
+        f"the photos could not have shown {unseen}: the survey is as good as the reference, and no "
+        "better proven.",
+        findings,
+    )
 
 
 def _trusted(e: Evidence) -> str:

@@ -92,6 +92,12 @@ class LensInformation:
         return full
 
     @property
+    def sigma(self) -> FloatArray:
+        """(c,): of each functional with all that is open: lens, poses and points."""
+        total: FloatArray = np.sqrt(self.functional_sigma**2 + np.diag(self.given_lens))
+        return total
+
+    @property
     def functional_sigma(self) -> FloatArray:
         """(c,): what the lens leaves open of each functional, as ``calib.align.dome`` has it."""
         sigma: FloatArray = np.sqrt(np.einsum("ci,ij,cj->c", self.gain, inverse(self.normal), self.gain))

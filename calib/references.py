@@ -8,6 +8,7 @@ Which reference may be held against which photos: calib.reference_match.
 from __future__ import annotations
 
 import difflib
+import math
 import os
 import re
 from dataclasses import replace
@@ -19,7 +20,7 @@ import platformdirs
 
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.errors import FormatError, InputError, OutputError
-from calib.field import LENS_NAMES
+from calib.field import LENS_NAMES, Lens
 from calib.formats import read_calibration
 from calib.formats.common import ReadOptions
 from calib.photos.photo import CameraIdentity, Processing
@@ -178,6 +179,27 @@ def reference_from_estimate(
     made = reference_of_body(name, camera, estimate.brown, estimate.covariance, date, source, provenance)
     lens = estimate.lens
     return replace(made, brown=lens.brown, field_px=lens.field_px, covariance=estimate.lens_covariance)
+
+
+def estimate_of_reference(reference: Reference, lens: Lens, correlation_factor: float) -> Estimate:
+    """The calibration of a survey whose lens was held: the reference's own, with its own sigmas."""
+    full = reference.lens_covariance
+    fitted = reference.fitted_covariance
+    covariance = full[: len(BROWN_NAMES), : len(BROWN_NAMES)] if fitted is None else fitted
+    return Estimate(
+        brown=reference.comparable_brown or lens.brown,
+        covariance=covariance,
+        lens=lens,
+        lens_covariance=full,
+        sigma_f_formal_px=float(covariance[0, 0] ** 0.5),
+        spread_f_px=0.0,
+        models={},
+        rejected_models={},
+        split_f_px=math.nan,
+        split_sigma_f_px=math.nan,
+        split_profile_ratio=math.nan,
+        correlation_factor=correlation_factor,
+    )
 
 
 def reference_of_body(

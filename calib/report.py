@@ -148,7 +148,7 @@ def _parameters(result: CheckResult) -> str:
     estimate = result.estimate
     held = None if result.reference is None else result.reference.brown
     values, sigmas = parameter_values(estimate.brown), parameter_sigmas(estimate)
-    others = None if held is None else parameter_values(held)
+    others = None if held is None or not result.solution.free.any() else parameter_values(held)
     rows = []
     for key, (name, unit) in PARAMETERS.items():
         if values[key] == 0 and not sigmas[key] > 0 and not (others and others[key]):
@@ -156,7 +156,7 @@ def _parameters(result: CheckResult) -> str:
         shown = quantity(values[key], sigmas[key], unit, 6) + (" (held)" if sigmas[key] == 0 else "")
         other = "" if others is None else f"<td>{html_text(quantity(others[key], None, unit, 6))}</td>"
         rows.append(f'<tr><th scope="row">{html_text(name)}</th><td>{html_text(shown)}</td>{other}</tr>')
-    column = "" if held is None else '<th scope="col">Reference</th>'
+    column = "" if others is None else '<th scope="col">Reference</th>'
     return (
         '<section aria-labelledby="parameters"><h2 id="parameters">Parameters</h2><table>'
         "<caption>Brown's model fitted to the whole distortion, one standard deviation. K and P in focal "
@@ -212,6 +212,7 @@ def _provenance(result: CheckResult) -> str:
 
 def adjustment_rows(solution: Solution, estimate: Estimate) -> list[tuple[str, str]]:
     """How the block was solved and what the sigma of f is made of, for a table of provenance."""
+    held = not solution.free.any()
     settled = "settled" if solution.converged else "did not settle"
     return [
         (
@@ -221,7 +222,9 @@ def adjustment_rows(solution: Solution, estimate: Estimate) -> list[tuple[str, s
         ),
         (
             "Sigma of f",
-            f"{quantity(estimate.sigma_f_px, None, 'px', 2)}, from a formal "
+            f"{quantity(estimate.sigma_f_px, None, 'px', 2)}, the reference's: the lens was held"
+            if held
+            else f"{quantity(estimate.sigma_f_px, None, 'px', 2)}, from a formal "
             f"{quantity(estimate.sigma_f_formal_px, None, 'px', 2)}, correlated residuals (variance "
             f"× {quantity(estimate.correlation_factor, None, '', 2)}) and a spread of "
             f"{quantity(estimate.spread_f_px, None, 'px', 2)} over lens models",

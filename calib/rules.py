@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from calib.rules_held import position_dome, radial_residuals, reference_fit
 from calib.rules_network import (
     alignment,
     convergent_share,
@@ -31,3 +32,6 @@ RULES = (
     coverage,
     alignment,
 )
+
+#: The same for a survey whose lens was held at a reference.
+HELD_RULES = (reference_fit, radial_residuals, predicted_dome, position_dome, coverage, alignment)

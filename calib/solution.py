@@ -164,3 +164,23 @@ class Dome:
     @property
     def amplitude_percent(self) -> float | None:
         return None if self.amplitude_m is None else 100 * self.amplitude_m / self.flying_height_m
+
+
+@dataclass(frozen=True)
+class HeldFit:
+    """How a block whose lens was held at a reference fits it.
+
+    ``move_percent``: what the photos would change of f, were they free to; ``move_p``: how often chance
+    alone moves f and K1-K3 as far, given the sigmas of both.
+    ``ring_*`` (r,): mean radial residual with its sigma, by distance from the principal point.
+    ``position_dome_percent``: bend of the camera heights against the measured ones over the site, in
+    percent of the flying height, positive as in :class:`Dome`; None without believed positions.
+    """
+
+    move_percent: float
+    move_p: float
+    ring_radius_px: FloatArray
+    ring_mean_px: FloatArray
+    ring_sigma_px: FloatArray
+    position_dome_percent: float | None
+    sigma_position_dome_percent: float | None

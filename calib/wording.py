@@ -40,6 +40,12 @@ RULE_TITLES = {
     "coverage": "Tie points cover the sensor",
     "alignment": "Alignment of the photos",
 }
+#: Of further rules where the lens is held.
+HELD_TITLES = {
+    "reference-fit": "The photos agree with the reference",
+    "radial-residuals": "Residuals that point inwards or outwards",
+    "position-dome": "Dome or dish against the measured positions",
+}
 #: The same for the rules of calibrating on site.
 CALIBRATION_TITLES = {
     "wall-bend-along": "Bend of the wall along its length",
@@ -80,7 +86,7 @@ NO_BREAK_SPACE = "\N{NO-BREAK SPACE}"
 
 
 def rule_title(rule: str) -> str:
-    return RULE_TITLES.get(rule) or CALIBRATION_TITLES.get(rule, rule)
+    return (RULE_TITLES | HELD_TITLES | CALIBRATION_TITLES).get(rule, rule)
 
 
 def printable(text: str) -> str:

@@ -21,7 +21,7 @@ from calib.control import (
     coverage_hint,
     prepare,
 )
-from calib.control_files import read_marks, read_points
+from calib.control_files import ControlPoint, Mark, read_marks, read_points
 from calib.control_output import control_json, control_reference, render_control, summary
 from calib.errors import InputError
 from calib.files import check_file_writable, output_folder, write_text_atomic
@@ -40,6 +40,15 @@ from calib.photos import collect, read_photos
 from calib.photos.sort import require_block
 from calib.reference_file import write_reference_file
 from calib.references import check_saving, save_reference
+from calib.targets import (
+    DETECTED_SIGMA_PX,
+    Detector,
+    board_detector,
+    board_points,
+    find_targets,
+    parse_board,
+    tag_detector,
+)
 from calib.wording import camera_name, path_text, photos_given
 from daemon.output import console, table, write_stdout
 from daemon.progress import progress_line
@@ -187,8 +196,20 @@ def _show(made: Calibration, wanted: _Wanted, saved: str | None) -> None:
 def control(
     photos: PhotosArgument,
     marks: Annotated[
-        Path, typer.Option(metavar="FILE", help="Marks: CSV, ODM gcp_list.txt or Metashape markers XML.")
-    ],
+        Path | None,
+        typer.Option(metavar="FILE", help="Marks: CSV, ODM gcp_list.txt or Metashape markers XML."),
+    ] = None,
+    board: Annotated[
+        str | None,
+        typer.Option(
+            metavar="COLSxROWS,MM,MM[,TAGS]",
+            help="Find the corners of a ChArUco board instead: squares, side of a square and of a tag.",
+        ),
+    ] = None,
+    tags: Annotated[
+        str | None,
+        typer.Option(metavar="DICTIONARY", help="Find tags instead, as APRILTAG_36h11, 4X4_50."),
+    ] = None,
     points: Annotated[
         Path | None,
         typer.Option(metavar="FILE", help="Points: CSV (default: those in the file of marks)."),
@@ -197,8 +218,13 @@ def control(
         float | None, typer.Option(metavar="PX", help="Focal length to start from (default: the photos').")
     ] = None,
     mark_sigma_px: Annotated[
-        float, typer.Option(min=0.01, max=20, help="Precision of a mark, px.")
-    ] = MARK_SIGMA_PX,
+        float | None,
+        typer.Option(
+            min=0.01,
+            max=20,
+            help=f"Precision of a mark, px (default {MARK_SIGMA_PX:g}; found targets {DETECTED_SIGMA_PX:g}).",
+        ),
+    ] = None,
     point_sigma_m: Annotated[
         float,
         typer.Option(min=0, max=10, help="Precision of a point where none is stated; 0 holds it."),
@@ -217,18 +243,21 @@ def control(
     wanted = _Wanted(name, out, temperature, json_to, quiet)
     if name is not None:
         check_saving(name)
-    found_marks = read_marks(marks)
-    surveyed = found_marks.points if points is None else read_points(points)
-    if not surveyed:
-        raise InputError(f"{marks} holds no coordinates; give the points with --points.")
+    found_marks, surveyed, detect = _marks_and_points(marks, points, board, tags)
     hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
     with progress_line(hidden, "reading metadata") as report:
         files = collect(photos)
         read, bad = read_photos(files, lambda done: report("reading metadata", done, len(files)))
-    if not read:
-        raise InputError(f"No photo can be read ({bad[0].path}: {bad[0].reason}).")
+        if not read:
+            raise InputError(f"No photo can be read ({bad[0].path}: {bad[0].reason}).")
+        if detect is not None:
+            paths = [photo.path for photo in read]
+            found_marks = find_targets(
+                paths, detect, lambda done: report("looking for targets", done, len(paths))
+            )
+    usual = MARK_SIGMA_PX if detect is None else DETECTED_SIGMA_PX
     marked, kept, chosen, notes = prepare(
-        read, surveyed, found_marks.marks, mark_sigma_px, point_sigma_m, check_every
+        read, surveyed, found_marks, mark_sigma_px or usual, point_sigma_m, check_every
     )
     start = focal_px or next((p.focal_px for p in kept if p.focal_px), None)
     if start is None:
@@ -258,6 +287,28 @@ def control(
         write_stdout(control_json(made, saved))
     _show_control(made, wanted, saved, sigma)
     return 0 if good else 3
+
+
+def _marks_and_points(
+    marks: Path | None, points: Path | None, board: str | None, tags: str | None
+) -> tuple[tuple[Mark, ...], tuple[ControlPoint, ...], Detector | None]:
+    """Marks of a file, the points' coordinates, and what finds the marks in the photos instead."""
+    if sum(given is not None for given in (marks, board, tags)) != 1:
+        raise InputError("Give the marks (--marks FILE), or let targets be found: --board or --tags.")
+    surveyed = () if points is None else read_points(points)
+    if board is not None:
+        if points is not None:
+            raise InputError("A board brings its own points; leave --points away.")
+        return (), board_points(parse_board(board)), board_detector(parse_board(board))
+    if marks is not None:
+        found = read_marks(marks)
+        surveyed = surveyed or found.points
+        if not surveyed:
+            raise InputError(f"{marks} holds no coordinates; give the points with --points.")
+        return found.marks, surveyed, None
+    if not surveyed:
+        raise InputError("Tags bring no coordinates; give those of their middles or corners with --points.")
+    return (), surveyed, tag_detector(str(tags), {point.name for point in surveyed})
 
 
 def _show_control(made: ControlCalibration, wanted: _Wanted, saved: str | None, sigma: float) -> None:

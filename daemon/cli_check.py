@@ -11,6 +11,7 @@ from typing import Annotated
 import typer
 
 from calib.check import Options, check_photos, read_set
+from calib.errors import InputError
 from calib.files import check_file_writable, output_folder, write_text_atomic
 from calib.findings import State
 from calib.onsite_rules import REFERENCE_SIGMA_PERCENT
@@ -35,6 +36,12 @@ def check(
     reference: Annotated[
         str | None, typer.Option(metavar="NAME|FILE", help="Hold the calibration against this reference.")
     ] = None,
+    fixed: Annotated[
+        str | None,
+        typer.Option(
+            metavar="NAME|FILE", help="Hold the lens at this reference: nothing is self-calibrated."
+        ),
+    ] = None,
     save_reference_as: Annotated[
         str | None,
         typer.Option("--save-reference", metavar="NAME", help="Keep this calibration as a reference."),
@@ -50,6 +57,11 @@ def check(
 ) -> int:
     """Can this survey's camera calibration be trusted? Exit code 0 TRUST, 3 REFLY, 4 CANNOT TELL."""
     # What can be refused at once is refused before a minute's work.
+    if fixed is not None and (reference is not None or save_reference_as is not None):
+        raise InputError(
+            "--fixed names the reference to hold the lens at; leave --reference and --save-reference away."
+        )
+    reference = reference if fixed is None else fixed
     if save_reference_as is not None:
         check_saving(save_reference_as)
     if reference is not None:
@@ -62,7 +74,7 @@ def check(
             # The file may be meant for the output folder, which is there only from here on.
             if json_to is not None and json_to != "-":
                 check_file_writable(Path(json_to))
-            result = check_photos(found, Options(reference), report)
+            result = check_photos(found, Options(reference, fixed is not None), report)
             result = replace(result, what_to_fly=what_to_fly(result))
             result = replace(result, exports=write_outputs(result, out))
     if json_to == "-":

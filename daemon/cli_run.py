@@ -22,6 +22,8 @@ from calib.output import REPORT_HTML, write_outputs
 from calib.references import load_reference
 from calib.report_json import report_json
 from calib.wording import VERDICT_WORDS, printable
+from daemon.capture.tagging import Kind, tag_photos
+from daemon.cli_upload import TO_HELP, forward_to
 from daemon.flight import STARTED, Flight, Options
 from daemon.live.answers import Answers, answers_of
 from daemon.live.commands import Commands, daemon_token, default_token_file
@@ -35,9 +37,13 @@ from daemon.session.store import Session
 from daemon.terminal import print_summary
 
 if TYPE_CHECKING:
+    from daemon.flight_link import FlightLink
+    from daemon.link.live import Link
+    from daemon.link.replay import Replay
     from daemon.live.bus import Bus
 
 MISSING = "The live status needs zenoh, which is not installed: pip install 'fieldcal[flight]'"
+LINK_HELP = f"{TO_HELP.rstrip('.')}, or a recorded FLIGHT.tlog."
 ConnectOption = Annotated[
     list[str] | None,
     typer.Option("--connect", metavar="ENDPOINT", help="Find others there, as tcp/192.168.1.5:7447."),
@@ -89,6 +95,17 @@ def run_command(
     connect: ConnectOption = None,
     listen: ListenOption = None,
     zenoh_config: ConfigOption = None,
+    link: Annotated[str | None, typer.Option("--link", metavar="ADDRESS", help=LINK_HELP)] = None,
+    forward: Annotated[
+        str | None, typer.Option(metavar="HOST:PORT", help="Pass the link on to a ground station (UDP).")
+    ] = None,
+    geotag: Annotated[
+        Kind | None, typer.Option(help="Write the positions from the link into copies or XMP files.")
+    ] = None,
+    same: Annotated[
+        list[str] | None,
+        typer.Option("--same", metavar="FILE=N", help="This file is the vehicle's Nth photo."),
+    ] = None,
     allow_commands: Annotated[
         bool, typer.Option("--allow-commands", help="Take commands with the token (off unless given).")
     ] = False,
@@ -97,6 +114,7 @@ def run_command(
     ] = None,
 ) -> int:
     """Take photos as they arrive; the verdict at the end. Exit code 0 TRUST, 3 REFLY, 4 CANNOT TELL."""
+    anchors = tuple(map(_anchor, same or ()))
     going_on = resume_last or session_name is not None
     if photos is None and not going_on:
         raise InputError("No source of photos was given; name the folder they arrive in: --photos FOLDER.")
@@ -112,7 +130,9 @@ def run_command(
     hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
     with ExitStack() as stack:
         session = stack.enter_context(resume(session_name)) if going_on else None
-        options = _options(session, photos, reference, vehicle, idle, count)
+        options = _options(session, photos, reference, vehicle, idle, count, link, anchors)
+        if options.link is None and (forward is not None or geotag is not None or anchors):
+            raise InputError("--forward, --geotag and --same need the vehicle: add --link ADDRESS.")
         line = stack.enter_context(progress_line(hidden, "waiting for photos"))
         bus: Bus | None = None
         flight: Flight | None = None
@@ -136,14 +156,20 @@ def run_command(
             bus = _bus(options.vehicle, settings, answers_of(lambda: session), commands)
             if bus is not None:
                 stack.enter_context(bus)
+        source = None if options.link is None else _source(options.link, forward)
+        if source is not None:
+            stack.callback(source.close)
         # Only now, so that what is refused leaves no empty flight behind.
         session = session or stack.enter_context(begin(label))
+        told = None if source is None else stack.enter_context(_follow(source, session))
         solver = Solver()
         stack.callback(solver.close)
         if talkative:
             print(f"Flight {session.folder.name}: photos from {printable(str(options.folder))}.")
             print("Ctrl-C: no more photos, give the verdict. Twice: leave; `fieldcal run --resume` goes on.")
-        flight = Flight(session, options, solver, tell)
+            if options.link is not None:
+                print(f"The vehicle is listened to on {printable(options.link)}.")
+        flight = Flight(session, options, solver, tell, link=told)
         with _interrupts(flight.finish):
             while not flight.over:
                 flight.step()
@@ -156,6 +182,16 @@ def run_command(
         result = replace(result, exports=write_outputs(result, session.folder))
         if out is not None:
             write_outputs(result, out)
+        if geotag is not None:
+            folder = session.folder / geotag.value
+            tell(
+                Log(
+                    vehicle=options.vehicle,
+                    at=datetime.now(UTC),
+                    level="info",
+                    text=tag_photos(session, folder, geotag).sentence(folder),
+                )
+            )
         finish(session)
         flight.ended()
         report_in = out or session.folder
@@ -194,6 +230,8 @@ def _options(
     vehicle: str | None,
     idle: float,
     count: int | None,
+    link: str | None,
+    anchors: tuple[tuple[int, str], ...],
 ) -> Options:
     """What was asked for, and for a flight that goes on what was asked for then."""
     then: dict[str, Any] = {}
@@ -206,7 +244,35 @@ def _options(
     if folder is None:
         raise InputError("This flight has no folder of photos; name it: --photos FOLDER.")
     name = vehicle or then.get("vehicle") or socket.gethostname()
-    return Options(vehicle_name(name), folder, reference or then.get("reference"), idle, count)
+    return Options(
+        vehicle=vehicle_name(name),
+        folder=folder,
+        reference=reference or then.get("reference"),
+        idle_s=idle,
+        count=count,
+        link=link or then.get("link"),
+        anchors=anchors,
+    )
+
+
+def _anchor(text: str) -> tuple[int, str]:
+    name, _, number = text.rpartition("=")
+    if not name or not number.isascii() or not number.isdigit() or int(number) < 1:
+        raise InputError(f"--same {text!r} is not FILE=N, for example DSC00001.JPG=1.")
+    return int(number), Path(name).name
+
+
+def _source(address: str, forward: str | None) -> Link | Replay:
+    """Loaded only for those who want it: it needs a library that others may not have."""
+    from daemon.flight_link import open_source
+
+    return open_source(address, forward_to(forward))
+
+
+def _follow(source: Link | Replay, session: Session) -> FlightLink:
+    from daemon.flight_link import FlightLink
+
+    return FlightLink(source, session)
 
 
 @contextmanager

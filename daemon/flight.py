@@ -11,25 +11,32 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import Any, Literal
+from typing import TYPE_CHECKING, Literal
 
 from calib.align.stream import Finished, Progressed, Read, Restarted, Solve, Solver
 from calib.check import choose_reference, conclude, read_set
 from calib.errors import AlignmentError, FieldcalError, InputError
-from calib.photos import LeftOut, Photo, require_block, sort_photos
+from calib.photos import LeftOut, Photo, Sorted, require_block, sort_photos
 from calib.report_json import report_dict
 from calib.result import CheckResult, Timing
 from daemon.advice import what_to_fly
 from daemon.capture.hot_folder import Arrival, HotFolder, Poll
-from daemon.live.schemas import Capture, FindingLine, Link, Log, Message, Progress, Status, Verdict
+from daemon.capture.matching import Arrived, Matching, completed
+from daemon.flight_messages import capture_message, verdict_message
+from daemon.live.schemas import Link, Log, Message, Progress, Status
 from daemon.session.rows import ClockName, Event, PhotoFile, SolutionRecord, Stamp, VerdictRecord
 from daemon.session.store import Session
+
+if TYPE_CHECKING:
+    from daemon.flight_link import FlightLink
 
 #: The first provisional solution waits for so many photos, each further one for this share more.
 FIRST, MORE = 6, 0.25
 #: Photos that are read at once: small, so that a solution need not wait long.
 _BATCH = 4
 LOOK_EVERY_S = 0.5
+#: Landed and disarmed, with a file for every trigger, so short a pause is enough.
+LANDED_IDLE_S = 20.0
 STARTED = "run.started"
 _TRANSIENT_S = 0.1
 
@@ -37,13 +44,16 @@ _TRANSIENT_S = 0.1
 @dataclass(frozen=True)
 class Options:
     """``idle_s``: the flight is over when nothing has come for so long (0: only when told);
-    ``count``: or when so many photos are there."""
+    ``count``: or when so many photos are there. ``link``: the vehicle's address. ``anchors``: numbers of
+    the vehicle's photos and the names of their files, where the operator knows."""
 
     vehicle: str
     folder: Path
     reference: str | None = None
     idle_s: float = 120.0
     count: int | None = None
+    link: str | None = None
+    anchors: tuple[tuple[int, str], ...] = ()
 
 
 Phase = Literal["waiting", "collecting", "concluding", "ended"]
@@ -55,6 +65,7 @@ class Flight:
     Args:
         tell: takes messages for whoever watches; never waits.
         clock: seconds on a clock that never steps.
+        link: the vehicle's, where there is one; closed by the caller.
     """
 
     def __init__(
@@ -64,11 +75,13 @@ class Flight:
         solver: Solver,
         tell: Callable[[Message], None],
         clock: Callable[[], float] = time.monotonic,
+        link: FlightLink | None = None,
     ) -> None:
         self._session, self._options, self._solver, self._tell = session, options, solver, tell
-        self._clock = clock
+        self._clock, self._link = clock, link
+        self._matching = None if link is None else Matching(session, link.book, options.anchors, clock)
         self._hot = HotFolder(options.folder, clock=clock)
-        self._photos: dict[Path, Photo] = {}
+        self._photos: dict[Path, Arrived] = {}
         self._unread: list[Photo] = []
         self._poll = Poll((), 0, ())
         self._looked_s, self._moved_s = -1e9, clock()
@@ -81,7 +94,6 @@ class Flight:
         self._seq = session.counts().photos
         self._trying_for = self._trying_seq = 0
         self._told: object = None
-        self._tell(Link(vehicle=options.vehicle))
         self._resume()
 
     # -- what is asked of it -----------------------------------------------------------------------
@@ -95,17 +107,26 @@ class Flight:
         """Whether it is time for :meth:`conclude`."""
         if self._over:
             return True
-        enough = self._options.count is not None and self._poll.whole >= self._options.count
-        idle = 0 < self._options.idle_s <= self._clock() - self._moved_s
-        return enough or (idle and bool(self._photos) and not self._poll.fault)
+        if self._options.count is not None and self._poll.whole >= self._options.count:
+            return True
+        idle_s, link = self._options.idle_s, self._link
+        if idle_s == 0 or not self._photos or self._poll.fault or (link is not None and link.flying):
+            return False
+        moved_s = self._moved_s
+        if link is not None:
+            moved_s = max(moved_s, link.moved_s)
+            if link.landed and self._poll.whole >= link.book.count:
+                idle_s = min(idle_s, LANDED_IDLE_S)
+        return self._clock() - moved_s >= idle_s
 
     def step(self) -> None:
-        """Look into the folder if it is time, and let the alignment go on.
+        """Look at folder and link if it is time, and let the alignment go on.
 
         Raises:
             FieldcalError: the record cannot be written.
         """
         self._look()
+        self._listen()
         if not self._solver.busy:
             self._begin_something()
         happening = self._solver.poll(_TRANSIENT_S)
@@ -132,7 +153,8 @@ class Flight:
                 break
             self._tell_state()
             time.sleep(LOOK_EVERY_S)
-        found = read_set([self._options.folder], self._progress)
+        self._listen(at_once=True)
+        found = read_set([self._options.folder], self._progress, self._completed)
         require_block(found)
         self._missing(found.used, found.left_out)
         seq = self._session.counts().photos
@@ -148,6 +170,7 @@ class Flight:
                 finished = happening
             else:
                 self._take(happening)
+            self._listen()
             self._tell_state()
         if finished.error is not None:
             raise finished.error
@@ -187,10 +210,29 @@ class Flight:
         path = photo.path.absolute()
         row = self._session.add_photo(PhotoFile(path, arrival.sha256, arrival.size_bytes))
         self._seq = max(self._seq, row.seq)
-        self._photos[photo.path] = photo
+        self._photos[photo.path] = Arrived(photo, row.seq)
         self._unread.append(photo)
         if self._phase == "waiting":
             self._enter("collecting")
+
+    # -- the vehicle -------------------------------------------------------------------------------
+
+    def _listen(self, at_once: bool = False) -> None:
+        """Take in what the link tells, and pair if it is time or ``at_once``."""
+        if self._link is None or self._matching is None:
+            return
+        self._link.poll()
+        for level, text in self._link.news():
+            self._say(text, level)
+        if self._matching.look(self._photos, at_once) and at_once and self._matching.pairing.advice:
+            self._say(self._matching.pairing.advice, "warning")
+
+    def _completed(self, photos: Sequence[Photo]) -> Sequence[Photo]:
+        """The photos with positions and angles of their triggers, where they have none themselves."""
+        return photos if self._matching is None else completed(photos, self._matching.tags())
+
+    def _sorted(self) -> Sorted:
+        return sort_photos(self._completed([arrived.photo for arrived in self._photos.values()]))
 
     def _missing(self, used: Sequence[Photo], left_out: Sequence[LeftOut]) -> None:
         """Say which recorded photos are not in the folder any more."""
@@ -213,7 +255,7 @@ class Flight:
             return
         if not due:
             return
-        found = sort_photos(list(self._photos.values()))
+        found = self._sorted()
         try:
             require_block(found)
             reference, _ = choose_reference(found.used[0], self._options.reference)
@@ -251,7 +293,7 @@ class Flight:
         self._solved_for = self._trying_for
         request = finished.request
         assert isinstance(request, Solve)
-        left_out = sort_photos(list(self._photos.values())).left_out
+        left_out = self._sorted().left_out
         reference, note = choose_reference(request.photos[0], self._options.reference)
         result = conclude(finished.outcome, left_out, reference, note, Timing(0.0, 0.0, 0.0))
         self._record(replace(result, what_to_fly=what_to_fly(result)), self._trying_seq, final=False)
@@ -284,6 +326,7 @@ class Flight:
                     "folder": str(self._options.folder.absolute()),
                     "vehicle": self._options.vehicle,
                     "reference": self._options.reference,
+                    "link": self._options.link,
                 },
             )
         )
@@ -309,8 +352,10 @@ class Flight:
         )
 
     def _tell_state(self) -> None:
-        vehicle = self._options.vehicle
-        state = (self._phase, self._degraded, self._poll.fault)
+        vehicle, link = self._options.vehicle, self._link
+        degraded = [*self._degraded, *([self._poll.fault] if self._poll.fault else [])]
+        degraded += [] if link is None else link.degraded
+        state = (self._phase, degraded)
         if state != self._told:
             self._told = state
             self._tell(
@@ -319,38 +364,9 @@ class Flight:
                     phase=self._phase,
                     session=self._session.folder.name,
                     since=self._since,
-                    degraded=[*self._degraded, *([self._poll.fault] if self._poll.fault else [])],
+                    degraded=degraded,
                 )
             )
-        waiting = len(self._poll.waiting)
-        warning = f"{waiting} files are not whole yet." if waiting else None
-        self._tell(
-            Capture(
-                vehicle=vehicle,
-                photos=self._poll.whole,
-                waiting=waiting,
-                warning=self._poll.fault or warning,
-            )
-        )
-
-
-def verdict_message(vehicle: str, report: dict[str, Any], final: bool, at: datetime) -> Verdict:
-    """The verdict of a ``fieldcal.check/1`` report as it goes over the bus."""
-    calibration, dome = report["calibration"], report["dome"]
-    f_px, sigma_px = calibration["f_px"], calibration["sigma"]["f_px"]
-    return Verdict(
-        vehicle=vehicle,
-        verdict=report["verdict"],
-        final=final,
-        at=at,
-        headline=report["headline"],
-        what_to_fly=report["what_to_fly"],
-        photos=report["alignment"]["aligned"],
-        f_px=f_px,
-        sigma_f_percent=100 * sigma_px / f_px if f_px and sigma_px is not None else None,
-        dome_percent=dome["amplitude_percent"],
-        sigma_dome_m=dome["sigma_m"],
-        findings=[
-            FindingLine(rule=f["rule"], state=f["state"], message=f["message"]) for f in report["findings"]
-        ],
-    )
+        self._tell(Link(vehicle=vehicle) if link is None else link.message(vehicle))
+        book = None if link is None else link.book
+        self._tell(capture_message(vehicle, self._poll, book, self._matching))

@@ -41,8 +41,9 @@ class Prediction:
     """What the calibration of a planned mission is expected to be worth.
 
     Sigmas contain the measured model error. ``sigma_k_px`` are those of K1-K3 in pixel units
-    (px^-2, px^-4, px^-6). ``dome_*``: sigma of the dome at the site's edge, and in percent of the
-    flying height. ``gsd_*``: ground resolution, over the area, of the sharpest photo of each place.
+    (px^-2, px^-4, px^-6). ``dome_*``: sigma of the terrain's dome at the site's edge, and in percent
+    of the flying height: what the lens leaves open and what the block would bend were it known.
+    ``gsd_*``: ground resolution, over the area, of the sharpest photo of each place.
     ``least_views``: photos that see the worst place of the area, ``least_views_at_m`` (east, north).
     ``verdict``: what the check will say at best, given a good reference; ``reason`` in one sentence.
     """
@@ -100,7 +101,7 @@ def predict_stations(
     radial = radial_px_covariance(camera, brown)[:3, :3]
     sigma_k = np.sqrt(np.diag(radial))
     sigma_f = math.sqrt(brown[0, 0])
-    dome_m = factor * float(information.functional_sigma[0])
+    dome_m = factor * float(information.sigma[0])
     tilt = np.array([90.0 + s.pitch_deg for s in photos])
     rotations, centres = poses(photos)
     agl = centres[:, 2] - ground_heights_m(terrain, centres)

@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 import pytest
 from align_blocks import INDEX, block_adjustment, loose_priors
+from ceres_peer import MODELS, reconstruction, solve_with_ceres
 
 from calib.align.adjust import State, rotation_exp
 from calib.align.grow import lens_mask
@@ -15,14 +16,6 @@ from calib.camera import BrownCamera, FloatArray
 from calib.field import Lens
 from sim.flights import phantom3
 from sim.network import SimBlock, SimOptions, survey
-
-pycolmap = pytest.importorskip("pycolmap")
-
-#: pycolmap's parameters of each model, in its order, and ours that stand for them.
-MODELS = {
-    "RADIAL": ("f", "cx", "cy", "k1", "k2"),
-    "OPENCV": ("f", "fy", "cx", "cy", "k1", "k2", "p1", "p2"),
-}
 
 
 def true_lens(model: str) -> BrownCamera:
@@ -44,47 +37,10 @@ def disturbed(block: SimBlock) -> State:
 
 
 def reconstruction_of(block: SimBlock, start: State, model: str) -> Any:
-    """The same block in pycolmap: same pixels (both count from the corner), same start."""
-    brown = start.lens.brown
-    values = {"fy": brown.fy_px, "f": brown.f_px, "cx": brown.cx_px, "cy": brown.cy_px}
-    made = pycolmap.Reconstruction()
-    params = [values.get(name, 0.0) for name in MODELS[model]]
-    made.add_camera_with_trivial_rig(
-        pycolmap.Camera(model=model, width=brown.width, height=brown.height, params=params, camera_id=1)
-    )
+    """The same block in pycolmap, from the same start."""
     seen = block.observations
-    slot = np.zeros(len(seen), int)
-    for photo in range(len(block.centres_m)):
-        mine = np.flatnonzero(seen.photo == photo)
-        slot[mine] = np.arange(len(mine))
-        image = pycolmap.Image(name=str(photo), keypoints=seen.pixels[mine], camera_id=1, image_id=photo + 1)
-        rotation = start.rotations[photo]
-        pose = pycolmap.Rigid3d(pycolmap.Rotation3d(rotation), -rotation @ start.centres_m[photo])
-        made.add_image_with_trivial_frame(image, pose)
-    for point, where in enumerate(start.points_m):
-        track = pycolmap.Track()
-        for i in np.flatnonzero(seen.point == point):
-            track.add_element(int(seen.photo[i]) + 1, int(slot[i]))
-        made.add_point3D(where, track)
-    return made
-
-
-def solve_with_ceres(made: Any) -> tuple[Any, Any]:
-    options = pycolmap.BundleAdjustmentOptions()
-    options.refine_principal_point = True
-    options.print_summary = False
-    solver = options.ceres.solver_options
-    solver.num_threads, solver.max_num_iterations = 1, 200
-    solver.gradient_tolerance = solver.function_tolerance = solver.parameter_tolerance = 1e-14
-    config = pycolmap.BundleAdjustmentConfig()
-    for image_id in made.images:
-        config.add_image(image_id)
-    config.fix_gauge(pycolmap.BundleAdjustmentGauge.TWO_CAMS_FROM_WORLD)
-    adjuster = pycolmap.create_default_ceres_bundle_adjuster(options, config, made)
-    summary = adjuster.solve()
-    covariance = pycolmap.estimate_ba_covariance(pycolmap.BACovarianceOptions(), made, adjuster)
-    assert covariance is not None
-    return summary, covariance.get_other_params_cov(made.cameras[1].params)
+    poses = (start.rotations, start.centres_m)
+    return reconstruction(start.lens.brown, model, poses, start.points_m, seen.photo, seen.point, seen.pixels)
 
 
 @pytest.mark.parametrize("model", ["RADIAL", "OPENCV"])

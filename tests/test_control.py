@@ -15,6 +15,7 @@ from calib.control import ControlCalibration, calibrate_control, coverage_hint, 
 from calib.control_adjust import MarkSet
 from calib.control_files import ControlPoint, Mark, read_marks, read_points
 from calib.control_output import ControlReport
+from calib.control_subset import photo_information, subsets
 from calib.errors import FormatError, InputError
 from calib.photos.photo import CameraIdentity, Photo
 from daemon import cli
@@ -152,6 +153,25 @@ def test_slips_and_wrong_coordinates_are_found() -> None:
     assert abs(made.camera.f_px - orbit.camera.f_px) < 4 * sigma
 
 
+def test_the_most_telling_photos_alone_agree_with_all() -> None:
+    """[SEN]: 14 or 20 photos, chosen for what they add, do nearly as well as the whole campaign."""
+    worst = []
+    for seed in range(3):
+        made = solved(flown("RGB add6", seed))
+        few, more = subsets(made)
+        assert (len(few.photos), len(more.photos)) == (14, 20)
+        assert more.photos[:14] == few.photos
+        sigmas = [float(np.sqrt(c[0, 0])) for c in (few.covariance, more.covariance, made.fit.covariance)]
+        assert sigmas[0] > sigmas[1] > sigmas[2]
+        assert sigmas[0] < 3 * sigmas[2]
+        worst.append(few.apart_sigmas)
+        # Chosen ones know more than the first ones by name.
+        info = photo_information(made.marks, made.fit.block, free_parameters(made), made.used)
+        chosen, first = (np.linalg.slogdet(info[list(p)].sum(axis=0))[1] for p in (few.photos, range(14)))
+        assert chosen > first + 1
+    assert 0 < max(worst) < 4
+
+
 def test_empty_edges_are_told() -> None:
     made = solved(flown("RGB add6", 0))
     middle = made.camera.width / 2
@@ -199,7 +219,13 @@ def test_files_of_marks(tmp_path: Path) -> None:
     table = tmp_path / "m.csv"
     table.write_text("Photo;Point;u_px;v_px\nC:\\card\\IMG_1.JPG;A;1.5;2.5\n\n")
     assert read_marks(table).marks == (Mark("IMG_1.JPG", "A", 1.5, 2.5),)
+    # Pix4D names no columns.
+    table.write_text("C:\\card\\IMG_1.JPG,A,1.5,2.5,1.2\nIMG_2.JPG,A,7,8,0.6\n")
+    assert read_marks(table).marks == (Mark("IMG_1.JPG", "A", 1.5, 2.5), Mark("IMG_2.JPG", "A", 7, 8))
     points = tmp_path / "p.csv"
+    points.write_text("A,1,2,3,0.02,0.05\n7,4,5,6,0.02,0.05\n")
+    assert read_points(points)[0] == ControlPoint("A", (1, 2, 3), (0.02, 0.02, 0.05))
+    assert read_points(points)[1].name == "7"
     points.write_text("name,x,y,z,sigma_m,role\nA,1,2,3,0.002,control\nB,4,5,6,,check\n")
     a, b = read_points(points)
     assert a == ControlPoint("A", (1, 2, 3), (0.002,) * 3)

@@ -41,7 +41,7 @@ def _from_mavsdk(items: Sequence[Any]) -> list[Item]:
 async def _there_and_back(server: MissionServer, items: Sequence[Item]) -> list[Item]:
     async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as client:
         await client.add_any_connection(server.url)
-        system = await client.first_autopilot(timeout_s=10.0)
+        system = await client.first_autopilot(timeout_s=30.0)
         assert system is not None, "the vehicle was not found"
         mission = MissionRawAsync(system)
         await asyncio.wait_for(mission.upload_mission(_to_mavsdk(items)), 15)

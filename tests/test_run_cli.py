@@ -158,7 +158,7 @@ def test_kill_9_of_daemon_and_child_changes_nothing(checked: Checked, tmp_path: 
         with working(tmp_path, *command) as process:
             _work_for_a_while(tmp_path, process, rng, at_least=min(kill + 1, 4))
             os.kill(process.pid, signal.SIGKILL)
-            process.wait(20)
+            process.wait(60)
             _gone(process)
         now = recorded(tmp_path)
         assert now >= acknowledged, f"kill {kill} lost photos"

@@ -45,7 +45,7 @@ def _killed_child(folder: Path, seed: int, context: Any) -> list[tuple[str, int,
                 acknowledged += json.loads(ours.recv_bytes())
     finally:
         os.kill(child.pid, signal.SIGKILL)
-        child.join(10)
+        child.join(60)
     assert child.exitcode == -signal.SIGKILL
     with contextlib.suppress(EOFError):  # What it still had sent is acknowledged, too.
         while ours.poll(0):

@@ -44,7 +44,7 @@ async def _fly(server: VehicleServer, url: str, flavour: Flavour) -> Client:
         assert await one.command(400, 1) == 0
         assert await one.command(300) == 0
         server.speed_up = SPEED_UP
-        await one.until(lambda: server.vehicle.done, 40)
+        await one.until(lambda: server.vehicle.done, 120)
         await asyncio.sleep(0.3)
     return one
 

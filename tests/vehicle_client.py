@@ -38,7 +38,7 @@ class Client:
         values = dict(zip((f"param{n}" for n in range(1, 8)), [*params, *[0.0] * 7], strict=False))
         fields = {"target_system": 1, "target_component": 1, "command": number, "confirmation": 0} | values
         asked = MavlinkMessage("COMMAND_LONG", 245, 190, 1, 1, json.dumps(fields))
-        answer = await asyncio.wait_for(self.direct.send_command(asked), 10)
+        answer = await asyncio.wait_for(self.direct.send_command(asked), 30)
         return int(json.loads(answer.fields_json)["result"])
 
     async def until(self, true: Callable[[], bool], seconds: float) -> None:
@@ -52,7 +52,7 @@ class Client:
 async def client(url: str) -> AsyncIterator[Client]:
     async with Mavsdk(Configuration.create_with_component_type(ComponentType.GROUND_STATION)) as mavsdk:
         await mavsdk.add_any_connection(url)
-        system = await mavsdk.first_autopilot(timeout_s=10.0)
+        system = await mavsdk.first_autopilot(timeout_s=30.0)
         assert system is not None, "the vehicle was not found"
         found = Client(system)
         listening = asyncio.create_task(found.listen())

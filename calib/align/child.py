@@ -22,12 +22,13 @@ import numpy as np
 from calib.align.dome import predict_dome
 from calib.align.engine import Aligner, Progress, Settings
 from calib.align.flatness import Flatness, measure_flatness
+from calib.align.held import Held, held_block
 from calib.align.network import measure_network
 from calib.align.selfcal import Calibrated
 from calib.align.uncertainty import estimate
 from calib.camera import FloatArray
 from calib.errors import AlignmentError, FieldcalError
-from calib.field import Lens
+from calib.field import LENS_NAMES, Lens
 from calib.flown import FlownNetwork, flown_network
 from calib.photos.photo import Photo
 from calib.solution import Dome, Estimate, Network, Solution
@@ -41,7 +42,8 @@ class Job:
     """What the child is to do.
 
     ``reference``: the total mapping to hold the dome against, with its covariance (35, 35).
-    ``wall``: the photos show a flat wall, whose flatness is to be measured.
+    ``wall``: the photos show a flat wall, whose flatness is to be measured. ``fixed``: hold the lens at
+    the reference, which must then be there.
     """
 
     photos: tuple[Photo, ...]
@@ -51,6 +53,7 @@ class Job:
     memory_limit_bytes: int | None = None
     reference_covariance: FloatArray | None = None
     wall: bool = False
+    fixed: bool = False
 
 
 @dataclass(frozen=True)
@@ -63,6 +66,7 @@ class Outcome:
     dome: Dome
     flown: FlownNetwork
     flatness: Flatness | None = None
+    held: Held | None = None
 
 
 def work(job: Job, progress: Progress) -> Outcome:
@@ -79,6 +83,13 @@ def work(job: Job, progress: Progress) -> Outcome:
         progress("comparing models", 0, 0)
 
     outcome = measured(aligned.solution, aligned.calibrated, job.reference, job.reference_covariance, tick)
+    if job.fixed and job.reference is not None:
+        progress("holding the lens", 0, 0)
+        known = job.reference_covariance
+        covariance = np.zeros((len(LENS_NAMES), len(LENS_NAMES))) if known is None else known
+        height_m = outcome.dome.flying_height_m
+        held = held_block(aligned.calibrated, outcome.estimate, job.reference, covariance, height_m, tick)
+        outcome = replace(outcome, held=held)
     if not job.wall:
         return outcome
     progress("measuring the wall", 0, 0)

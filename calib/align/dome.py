@@ -6,8 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calib.align.adjust import State, similarity_tangent
-from calib.align.selfcal import Calibrated
+from calib.align.adjust import similarity_tangent
+from calib.align.selfcal import Calibrated, hold
 from calib.camera import FloatArray
 from calib.field import LENS_NAMES, Lens
 from calib.similarity import fit_similarity
@@ -20,7 +20,7 @@ def site_radius_m(points_m: FloatArray) -> float:
     return float(np.percentile(np.linalg.norm(offset, axis=1), 95))
 
 
-def _design(points_m: FloatArray, radius_m: float) -> FloatArray:
+def second_order_design(points_m: FloatArray, radius_m: float) -> FloatArray:
     """1, x, y, x2 + y2, x2 - y2, x y in units of the site's radius, (m, 6)."""
     x, y = ((points_m[:, :2] - np.median(points_m[:, :2], axis=0)) / radius_m).T
     return np.stack([np.ones_like(x), x, y, x * x + y * y, x * x - y * y, x * y], axis=1)
@@ -32,7 +32,7 @@ def dome_amplitude_m(points_m: FloatArray, height_error_m: FloatArray) -> FloatA
     ``height_error_m`` (m,) or (m, c); the answer is a scalar array or (c,). It is minus the
     coefficient of r2 in a second-order surface ([C&D] methods), r in units of the site's radius.
     """
-    design = _design(points_m, site_radius_m(points_m))
+    design = second_order_design(points_m, site_radius_m(points_m))
     coefficients = np.linalg.lstsq(design, height_error_m, rcond=None)[0]
     amplitude: FloatArray = -coefficients[3]
     return amplitude
@@ -80,14 +80,7 @@ def predict_dome(
     radius = site_radius_m(points)
     if reference is None:
         return Dome(None, sigma, flying_height_m, radius)
-    held = block.adjustment.run(
-        State(reference, adjusted.state.rotations, adjusted.state.centres_m, points),
-        np.zeros(len(LENS_NAMES), bool),
-        max_iterations=40,
-        decrement=0.1,
-        reweightings=1,
-        tick=tick,
-    )
+    held = hold(block, reference, tick)
     difference = aligned_difference_m(points, held.state.points_m)[:, 2]
     east, north, grid = _grid(held.state.points_m, difference, radius)
     amplitude = float(dome_amplitude_m(held.state.points_m, difference))

@@ -24,7 +24,7 @@ from calib.align.georeference import DEFAULT_SIGMA_M
 from calib.align.tracks import select
 from calib.camera import BROWN_NAMES, FloatArray
 from calib.errors import AlignmentError
-from calib.field import LENS_NAMES
+from calib.field import LENS_NAMES, Lens
 from calib.photos.photo import LeftOut, Photo
 from calib.solution import Georeference, Observations, Solution
 
@@ -131,6 +131,19 @@ class Calibrated:
             converged=adjusted.converged,
             iterations=adjusted.iterations,
         )
+
+
+def hold(block: Calibrated, lens: Lens, tick: Callable[[], None] | None = None) -> Adjusted:
+    """Poses and points of a solved block re-adjusted around another lens."""
+    state = block.adjusted.state
+    return block.adjustment.run(
+        State(lens, state.rotations, state.centres_m, state.points_m),
+        np.zeros(len(LENS_NAMES), bool),
+        max_iterations=40,
+        decrement=0.1,
+        reweightings=1,
+        tick=tick,
+    )
 
 
 def noise_px(residuals: FloatArray) -> float:

@@ -115,9 +115,10 @@ class Stream:
         )
 
     def _going_on(self, job: Solve) -> Aligner:
-        """The aligner of the provisional solution before, where all of its photos are wanted still."""
-        wanted = set(map(id_of, job.photos))
-        if self._aligner is None or not all(id_of(photo) in wanted for photo in self._held):
+        """The aligner of the provisional solution before, where all of its photos are wanted still,
+        with the same positions and angles."""
+        wanted = {id_of(photo): photo for photo in job.photos}
+        if self._aligner is None or not all(wanted.get(id_of(photo)) == photo for photo in self._held):
             self._aligner, self._held = Aligner(self._settings, self._progress, self._memory), []
         held = set(map(id_of, self._held))
         new = [photo for photo in job.photos if id_of(photo) not in held]

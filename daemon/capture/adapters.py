@@ -65,7 +65,7 @@ def triggers(photos: Sequence[LinkTrigger]) -> list[Trigger]:
                 photo.number,
                 time_s,
                 _SIGMA_S,
-                _index(photo),
+                image_index(photo),
                 # 0 is what autopilots without a feedback pin send.
                 photo.completed or None,
                 None if None in position else position,  # type: ignore[arg-type]
@@ -75,5 +75,5 @@ def triggers(photos: Sequence[LinkTrigger]) -> list[Trigger]:
     return found
 
 
-def _index(photo: LinkTrigger) -> int | None:
+def image_index(photo: LinkTrigger) -> int | None:
     return next((n for source in PhotoSource if (n := photo.index(source)) is not None and n >= 0), None)

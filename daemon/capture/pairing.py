@@ -120,19 +120,39 @@ def update(
 ) -> Pairing:
     """Pair again with what has come since (photos of a card read late, triggers sent again).
 
-    The earlier clock, where it was sure, saves the search. Should that move a pair that was sure,
-    everything is paired anew.
+    As :func:`renew`, with everything that was known then.
     """
     all_triggers = [p.trigger for p in previous.pairs] + [*previous.triggers_without_photo, *triggers]
     all_shots = [p.shot for p in previous.pairs] + [*previous.photos_without_trigger, *shots]
+    return renew(previous, all_triggers, all_shots, known=known, anchors=anchors)
+
+
+def renew(
+    previous: Pairing,
+    all_triggers: Sequence[Trigger],
+    all_shots: Sequence[Shot],
+    *,
+    known: KnownClock | None = None,
+    anchors: Sequence[tuple[int, str]] = (),
+) -> Pairing:
+    """Pair all triggers and photos, given an earlier pairing of some of them.
+
+    The earlier clock, where it was sure, saves the search. Should that move a pair that was sure,
+    everything is paired anew.
+    """
     clock = previous.clock
-    if known is None and not anchors and clock is not None and not previous.ambiguous:
+    if known is None and not anchors and all_triggers and clock is not None and not previous.ambiguous:
         moment = float(np.mean([t.time_s for t in all_triggers]))
         offset_s = clock.camera_s(moment) - moment
         sigma_s = clock.offset_sigma_s + clock.drift_sigma * abs(moment - clock.reference_s) + 0.1
         quick = pair(all_triggers, all_shots, known=KnownClock(offset_s, sigma_s))
         now = {(p.trigger.key, p.shot.name) for p in quick.sure_pairs}
-        if all((p.trigger.key, p.shot.name) in now for p in previous.sure_pairs):
+        there = {t.key for t in all_triggers}, {s.name for s in all_shots}
+        if all(
+            (p.trigger.key, p.shot.name) in now
+            for p in previous.sure_pairs
+            if p.trigger.key in there[0] and p.shot.name in there[1]
+        ):
             return quick
     return pair(all_triggers, all_shots, known=known, anchors=anchors)
 

@@ -57,6 +57,17 @@ def earth_angles(gimbal: GimbalAttitude, vehicle: Angles) -> Angles | None:
     return None
 
 
+def between(one: Angles, other: Angles, share: float) -> Angles:
+    """The attitude on the shortest way from one to the other, ``share`` (0-1) of it done.
+
+    By quaternions, normalised afterwards: angles jump near straight down, quaternions do not.
+    """
+    a, b = quaternion_of(one), quaternion_of(other)
+    sign = 1.0 if sum(x * y for x, y in zip(a, b, strict=True)) >= 0 else -1.0
+    mixed = [(1 - share) * x + share * sign * y for x, y in zip(a, b, strict=True)]
+    return angles_of(mixed) or one
+
+
 def _product(one: Quaternion, other: Quaternion) -> Quaternion:
     a, b, c, d = one
     e, f, g, h = other

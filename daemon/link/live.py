@@ -181,6 +181,15 @@ class Link(Closing):
             time.sleep(0.02)
         return True
 
+    def record_into(self, log: LogWriter) -> None:
+        """Record everything from now on; closed by the caller, after the link."""
+        self._log_writer = log
+
+    def ask(self, exchange: Exchange) -> None:
+        """Have an exchange carried out when its turn comes; nobody waits for it."""
+        self._asked.put(_Job(exchange))
+        self._wake()
+
     def run(self, exchange: Exchange, look: Callable[[], None] | None = None) -> None:
         """Carry out an exchange with the vehicle; returns when it is over. One at a time: others wait.
 

@@ -1,0 +1,127 @@
+"""A simulated vehicle that flies a plan fast, and its camera's card: photos with a time, without position."""
+
+from __future__ import annotations
+
+import threading
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass
+from datetime import UTC, datetime, timedelta
+from pathlib import Path
+
+import numpy as np
+from PIL import ExifTags, Image
+
+from calib.photos.photo import Position
+from mission import encode
+from mission.encode import Flavour
+from mission.plan import Plan
+from sim.faults import LineFaults, Proxy
+from sim.vehicle import Faults, PhotoTaken, VehicleOptions, VehicleServer
+from sim.vehicle.storage import kept
+from tests.mission_plans import LAUNCH, line, orbit, plan_of
+
+PLAN = plan_of(*line(60.0, 10.0, 25.0), *orbit(6, radius=20.0, height=25.0), speed_m_s=6.0)
+FIRST_NUMBER = 17
+
+
+@dataclass
+class Card:
+    """Photos as a camera on the vehicle takes them, written by a thread. ``clock_s``: camera minus UTC.
+
+    ``skip``: the vehicle's photos (counted from 0) for which no file appears.
+    """
+
+    folder: Path
+    server: VehicleServer
+    clock_s: float = 7203.7
+    whole_seconds: bool = False
+    skip: frozenset[int] = frozenset()
+    written: int = 0
+
+    def name(self, number: int) -> str:
+        """Of the vehicle's photo, counted from 0."""
+        return f"DSC{number + FIRST_NUMBER:05d}.JPG"
+
+    def number(self, path: Path | str) -> int:
+        return int(Path(path).stem[3:]) - FIRST_NUMBER
+
+    def write_new(self) -> None:
+        for number, photo in enumerate(self.server.vehicle.photos[self.written :], start=self.written):
+            if number not in self.skip:
+                self._write(number, photo)
+            self.written = number + 1
+
+    def _write(self, number: int, photo: PhotoTaken) -> None:
+        moment = datetime.fromtimestamp(self.server.vehicle.options.boot_utc_s, UTC)
+        moment += timedelta(seconds=photo.boot_s + self.clock_s)
+        noise = np.random.default_rng(number).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+        exif, tags = Image.Exif(), ExifTags.Base
+        exif[tags.Make], exif[tags.Model] = "SONY", "ILCE-6000"
+        details = exif.get_ifd(ExifTags.IFD.Exif)
+        details[tags.DateTimeOriginal] = moment.strftime("%Y:%m:%d %H:%M:%S")
+        if not self.whole_seconds:
+            details[tags.SubsecTimeOriginal] = f"{moment.microsecond // 10_000:02d}"
+        part = self.folder / f"{self.name(number)}.part"
+        Image.fromarray(noise).save(part, "JPEG", exif=exif)
+        part.rename(self.folder / self.name(number))
+
+
+@dataclass
+class PhotoFlight:
+    proxy: Proxy
+    server: VehicleServer
+    card: Card
+
+    def take_off(self, speed_up: float) -> None:
+        pilot = self.server.vehicle.pilot
+        assert pilot.arm(True)
+        assert pilot.start_mission() == 0
+        self.server.speed_up = speed_up
+
+    def place_error(self, number: int, position: Position) -> tuple[float, float]:
+        """Horizontal and vertical distance of a position from the truth of a photo, m."""
+        place = (position.latitude_deg, position.longitude_deg, position.altitude_m or 0.0)
+        at = LAUNCH.enu(*(np.array([value]) for value in place))[0]
+        away = at - np.array(self.server.vehicle.photos[number].at_m)
+        return float(np.hypot(away[0], away[1])), abs(float(away[2]))
+
+
+@contextmanager
+def photo_flight(
+    flavour: Flavour,
+    folder: Path,
+    plan: Plan = PLAN,
+    line_faults: LineFaults | None = None,
+    faults: Faults | None = None,
+    card: Callable[[VehicleServer], Card] | None = None,
+    **options: object,
+) -> Iterator[PhotoFlight]:
+    """On the ground with the plan on board; the card is filled while it flies."""
+    folder.mkdir(exist_ok=True)
+    stop = threading.Event()
+    with (
+        Proxy(line_faults or LineFaults()) as proxy,
+        VehicleServer(
+            VehicleOptions(flavour, LAUNCH, **options),  # type: ignore[arg-type]
+            proxy.vehicle_address,
+            faults=faults,
+        ) as server,
+    ):
+        vehicle = server.vehicle
+        home = vehicle.telemetry.home_item()
+        stored = [kept(flavour, n, item, home) for n, item in enumerate(encode.items(plan, flavour))]
+        vehicle.transfer.stored[0] = stored
+        made = Card(folder, server) if card is None else card(server)
+
+        def fill() -> None:
+            while not stop.wait(0.02):
+                made.write_new()
+
+        writer = threading.Thread(target=fill, name="card", daemon=True)
+        writer.start()
+        try:
+            yield PhotoFlight(proxy, server, made)
+        finally:
+            stop.set()
+            writer.join(5)

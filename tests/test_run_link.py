@@ -1,0 +1,262 @@
+"""Link and photo flight together: a vehicle flies, photos come, triggers and pairs are recorded."""
+
+from __future__ import annotations
+
+import os
+import signal
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
+
+from calib.align.stream import Solve
+from calib.errors import AlignmentError
+from calib.photos.photo import Photo
+from daemon.capture.trigger_book import places_of
+from daemon.flight import Flight, Options
+from daemon.flight_link import FlightLink, open_source
+from daemon.live.schemas import Capture, Link, Log, Message, Status
+from daemon.session.reader import SessionReader
+from daemon.session.store import Session
+from mission import encode
+from mission.encode import Flavour
+from tests.check_process import wait_for
+from tests.photo_flights import Card, PhotoFlight, photo_flight
+from tests.test_flight import Scripted
+from tests.test_run_cli import the_session, working
+
+#: The flight's clock runs faster than the wall's, as the vehicle's does.
+FAST = 10.0
+SPEED_UP = 12.0
+
+
+class Run:
+    """`fieldcal run --link` without alignment and terminal."""
+
+    def __init__(self, session: Session, folder: Path, address: str, **options: object) -> None:
+        self.told: list[Message] = []
+        self.solver = Scripted()
+        self.session = session
+
+        def clock() -> float:
+            return FAST * time.monotonic()
+
+        self.link = FlightLink(open_source(address), session, clock)
+        given = Options("v", folder, link=address, **options)  # type: ignore[arg-type]
+        self.flight = Flight(session, given, self.solver, self.told.append, clock, self.link)  # type: ignore[arg-type]
+
+    def until(self, true: Callable[[], bool], seconds: float = 40.0) -> None:
+        end = time.monotonic() + seconds
+        while not true():
+            assert time.monotonic() < end, "it took too long"
+            self.flight.step()
+
+    def conclude(self) -> tuple[Photo, ...]:
+        """The photos that the final alignment was given."""
+        with pytest.raises(AlignmentError):
+            self.flight.conclude()
+        last = self.solver.requests[-1]
+        assert isinstance(last, Solve)
+        assert last.final
+        return last.photos
+
+    def last(self, kind: type[Message]) -> Message:
+        return next(m for m in reversed(self.told) if isinstance(m, kind))
+
+    def said(self) -> list[str]:
+        return [m.text for m in self.told if isinstance(m, Log)]
+
+
+def right_pairs(session: SessionReader, card: Card) -> int:
+    """Sure pairs of the newest pairing, all of which belong together."""
+    recorded = session.pairing()
+    assert recorded is not None
+    triggers = {row.seq: row.value for row in session.triggers()}
+    photos = {row.seq: row.value for row in session.photos()}
+    first = 1 if card.server.vehicle.options.flavour == "ardupilot" else 0
+    sure = [pair for pair in recorded.value.pairs if pair.sure]
+    for pair in sure:
+        index = triggers[pair.trigger].image_index
+        assert index is not None
+        assert card.number(photos[pair.photo].path) == index - first
+    return len(sure)
+
+
+def positions_hold(photos: tuple[Photo, ...], flown: PhotoFlight) -> int:
+    """Photos with a position, each within three of its sigmas."""
+    placed = [photo for photo in photos if photo.position is not None]
+    for photo in placed:
+        position = photo.position
+        assert position is not None
+        assert position.sigma_horizontal_m is not None
+        assert position.sigma_vertical_m is not None
+        horizontal, vertical = flown.place_error(flown.card.number(photo.path), position)
+        assert horizontal < 3 * position.sigma_horizontal_m < 9
+        assert vertical < 3 * position.sigma_vertical_m < 15
+    return len(placed)
+
+
+@pytest.mark.parametrize("flavour", encode.FLAVOURS)
+def test_triggers_pairs_and_positions_are_those_of_the_flight(flavour: Flavour, tmp_path: Path) -> None:
+    folder = tmp_path / "card"
+    with (
+        photo_flight(flavour, folder) as flown,
+        Session.create(tmp_path / "record") as session,
+    ):
+        run = Run(session, folder, flown.proxy.url)
+        with run.link:
+            run.until(lambda: run.link.source.state.parameters != {} or flavour == "px4")
+            flown.take_off(SPEED_UP)
+            run.until(lambda: run.flight.over)
+            used = run.conclude()
+        truth = flown.server.vehicle.photos
+        assert flown.server.vehicle.done
+        assert session.counts().triggers == len(truth) == 13
+        assert [row.value.image_index for row in session.triggers()] == [photo.index for photo in truth]
+        assert right_pairs(session, flown.card) == len(truth)
+        assert positions_hold(used, flown) == len(truth) == len(used)
+        for photo in used:
+            true = truth[flown.card.number(photo.path)]
+            assert photo.gimbal is not None
+            assert photo.gimbal.pitch_deg == pytest.approx(true.pitch_deg, abs=3.0)
+        capture, link = run.last(Capture), run.last(Link)
+        assert isinstance(capture, Capture)
+        assert isinstance(link, Link)
+        assert (capture.triggers, capture.photos, capture.sure, capture.warning) == (13, 13, 13, None)
+        assert (link.autopilot, link.armed) == (flavour, False)
+        assert "The vehicle is in the air." in run.said()
+        assert set(places_of(session)) == set(range(1, 14))
+
+
+def test_a_link_that_is_cut_does_not_stop_the_flight(tmp_path: Path) -> None:
+    """What was told during the cut is lost but for the last photo, and said; photos and pairs go on."""
+    folder = tmp_path / "card"
+    with (
+        photo_flight("ardupilot", folder) as flown,
+        Session.create(tmp_path / "record") as session,
+    ):
+        run = Run(session, folder, flown.proxy.url)
+        with run.link:
+            run.until(lambda: run.link.source.state.parameters != {})
+            flown.take_off(SPEED_UP)
+            run.until(lambda: len(flown.server.vehicle.photos) >= 3)
+            flown.proxy.open = False
+            before = len(flown.server.vehicle.photos)
+            run.until(lambda: len(flown.server.vehicle.photos) >= before + 2)
+            flown.server.speed_up = 0.05  # until the link has noticed
+            run.until(lambda: run.link.degraded != ())
+            status = [m.degraded for m in run.told if isinstance(m, Status)][-1]
+            assert "not heard" in status[0]
+            assert not run.flight.over
+            flown.proxy.open = True
+            flown.server.speed_up = SPEED_UP
+            run.until(lambda: run.link.degraded == ())
+            assert any(text.startswith("The vehicle is heard again") for text in run.said())
+            run.until(lambda: run.flight.over)
+            used = run.conclude()
+        told = {row.value.image_index for row in session.triggers()}
+        truth = flown.server.vehicle.photos
+        lost = {photo.index for photo in truth} - told
+        assert 1 <= len(lost) <= 7
+        assert set(run.link.book.lost) == lost
+        assert len(used) == len(truth)
+        assert right_pairs(session, flown.card) == len(told)
+        assert positions_hold(used, flown) == len(told)
+        capture = run.last(Capture)
+        assert isinstance(capture, Capture)
+        assert f"{len(lost)} triggers were not heard" in (capture.warning or "")
+
+
+def test_files_that_never_came_are_missed(tmp_path: Path) -> None:
+    folder = tmp_path / "card"
+    with (
+        photo_flight(
+            "px4", folder, card=lambda server: Card(folder, server, skip=frozenset({4, 8}))
+        ) as flown,
+        Session.create(tmp_path / "record") as session,
+    ):
+        run = Run(session, folder, flown.proxy.url, idle_s=60.0)
+        with run.link:
+            run.until(lambda: run.link.source.state.parameters != {} or run.link.source.state.counts != {})
+            flown.take_off(SPEED_UP)
+            run.until(lambda: run.flight.over)
+            used = run.conclude()
+        assert len(used) == 11
+        assert right_pairs(session, flown.card) == 11
+        capture = run.last(Capture)
+        assert isinstance(capture, Capture)
+        assert capture.warning == "2 of 13 triggers have no photo."
+
+
+@pytest.mark.parametrize("flavour", encode.FLAVOURS)
+def test_a_recorded_flight_gives_what_the_flight_gave(flavour: Flavour, tmp_path: Path) -> None:
+    """Photos read from the card after the flight, with the log that was recorded then."""
+    folder = tmp_path / "card"
+    with (
+        photo_flight(flavour, folder) as flown,
+        Session.create(tmp_path / "record") as session,
+        Session.create(tmp_path / "later") as later,
+    ):
+        run = Run(session, folder, flown.proxy.url)
+        with run.link:
+            run.until(lambda: run.link.source.state.parameters != {} or flavour == "px4")
+            flown.take_off(SPEED_UP)
+            run.until(lambda: flown.server.vehicle.done and run.link.landed)
+        again = Run(later, folder, str(tmp_path / "record" / "link.tlog"))
+        with again.link:
+            again.until(lambda: again.flight.over)
+            used = again.conclude()
+        assert positions_hold(used, flown) == len(flown.server.vehicle.photos) == 13
+        assert [row.value for row in later.triggers()] == [row.value for row in session.triggers()]
+        assert right_pairs(later, flown.card) == 13
+        assert any("read to its end: 13 triggers" in text for text in again.said())
+
+
+def test_kill_9_loses_no_trigger_that_was_recorded_and_doubles_none(tmp_path: Path) -> None:
+    folder = tmp_path / "card"
+
+    def record() -> SessionReader:
+        return SessionReader.open(the_session(tmp_path))
+
+    def triggers() -> int:
+        try:
+            with record() as session:
+                return session.counts().triggers
+        except (ValueError, OSError):
+            return 0
+
+    def sure() -> int:
+        with record() as session:
+            found = session.pairing()
+            return 0 if found is None else sum(pair.sure for pair in found.value.pairs)
+
+    with photo_flight("ardupilot", folder) as flown:
+        run = ("run", "--photos", folder, "--link", flown.proxy.url, "--no-live", "--quiet", "--idle", "0")
+        with working(tmp_path, *run) as process:
+            wait_for(lambda: flown.server.vehicle.telemetry.rates_hz.get("ATTITUDE"))
+            flown.take_off(SPEED_UP)
+            wait_for(lambda: triggers() >= 4)
+            os.kill(process.pid, signal.SIGKILL)
+            process.wait(20)
+            flown.server.speed_up = 0.02
+        with record() as session:
+            acknowledged = [row.value for row in session.triggers()]
+        with working(tmp_path, "run", "--resume", "--no-live", "--quiet", "--idle", "0"):
+            log = the_session(tmp_path) / "link.tlog"
+            size = log.stat().st_size
+            wait_for(lambda: log.stat().st_size > size + 3000)
+            flown.server.speed_up = SPEED_UP
+            wait_for(lambda: flown.server.vehicle.done)
+            wait_for(lambda: sure() == triggers())
+        truth = {photo.index for photo in flown.server.vehicle.photos}
+        with record() as session:
+            told = [row.value.image_index for row in session.triggers()]
+            assert [row.value for row in session.triggers()][: len(acknowledged)] == acknowledged
+            assert len(told) == len(set(told))
+            assert set(told) <= truth
+            assert len(truth - set(told)) <= 3  # taken between kill and resumption
+            assert right_pairs(session, flown.card) == len(told)
+            assert set(places_of(session)) == set(range(1, len(told) + 1))
