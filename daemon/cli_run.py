@@ -22,14 +22,17 @@ from calib.output import REPORT_HTML, write_outputs
 from calib.references import load_reference
 from calib.report_json import report_json
 from calib.wording import VERDICT_WORDS, printable
+from daemon.again import earlier, leave_files, unended
 from daemon.capture.tagging import Kind, tag_photos
 from daemon.cli_upload import TO_HELP, forward_to
+from daemon.config_file import ConfigFileOption
 from daemon.flight import STARTED, Flight, Options
 from daemon.live.answers import Answers, answers_of
 from daemon.live.commands import Commands, daemon_token, default_token_file
 from daemon.live.schemas import Capture, Log, Message, Progress, Verdict
 from daemon.live.settings import CONFIG_VARIABLE, Settings
 from daemon.live.topics import vehicle_name
+from daemon.notify import Notifier
 from daemon.output import console, write_stdout
 from daemon.progress import Report, progress_line
 from daemon.session.library import begin, finish, resume, unfinished
@@ -112,8 +115,16 @@ def run_command(
     token_file: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Where the token is.", readable=False)
     ] = None,
+    again: Annotated[
+        bool, typer.Option("--again", help="The flight begun in this folder, or the next: no photo twice.")
+    ] = False,
+    _config: ConfigFileOption = None,
 ) -> int:
     """Take photos as they arrive; the verdict at the end. Exit code 0 TRUST, 3 REFLY, 4 CANNOT TELL."""
+    if again:
+        if photos is None or resume_last or session_name is not None:
+            raise InputError("--again goes with --photos FOLDER, and without --resume and --session.")
+        session_name = unended(photos)
     anchors = tuple(map(_anchor, same or ()))
     going_on = resume_last or session_name is not None
     if photos is None and not going_on:
@@ -133,11 +144,15 @@ def run_command(
         options = _options(session, photos, reference, vehicle, idle, count, link, anchors)
         if options.link is None and (forward is not None or geotag is not None or anchors):
             raise InputError("--forward, --geotag and --same need the vehicle: add --link ADDRESS.")
+        if again:
+            options = replace(options, passed_over=earlier(options.folder))
+        notifier = stack.enter_context(Notifier())
         line = stack.enter_context(progress_line(hidden, "waiting for photos"))
         bus: Bus | None = None
         flight: Flight | None = None
 
         def tell(message: Message) -> None:
+            notifier.tell(message)
             _show(message, line, talkative)
             if bus is not None:
                 bus.tell(message)
@@ -174,8 +189,12 @@ def run_command(
             while not flight.over:
                 flight.step()
         try:
+            if again:
+                leave_files(session, options.folder)
             result = flight.conclude()
         except FieldcalError as error:
+            if again:
+                finish(session)  # Without a verdict; its photos are not tried again and again.
             if bus is not None:
                 bus.tell(Log(vehicle=options.vehicle, at=datetime.now(UTC), level="error", text=str(error)))
             raise
