@@ -15,14 +15,17 @@ from calib.errors import InputError
 from calib.files import check_file_writable, check_writable
 from calib.references import load_reference
 from calib.wording import printable
+from daemon.again import earlier, unended
 from daemon.capture.tagging import Kind
 from daemon.cli_upload import TO_HELP, forward_to
+from daemon.config_file import ConfigFileOption
 from daemon.flight import STARTED, Flight, Options
 from daemon.live.answers import Answers, answers_of
 from daemon.live.commands import Commands, daemon_token, default_token_file
 from daemon.live.schemas import Message
 from daemon.live.settings import CONFIG_VARIABLE, Settings
 from daemon.live.topics import vehicle_name
+from daemon.notify import Notifier
 from daemon.run_rounds import Rounds, Wishes
 from daemon.run_screen import Screen
 from daemon.session.library import begin, resume, unfinished
@@ -114,8 +117,16 @@ def run_command(
     token_file: Annotated[
         Path | None, typer.Option(metavar="FILE", help="Where the token is.", readable=False)
     ] = None,
+    again: Annotated[
+        bool, typer.Option("--again", help="The flight begun in this folder, or the next: no photo twice.")
+    ] = False,
+    _config: ConfigFileOption = None,
 ) -> int:
     """Take photos as they arrive; the verdict at the end. Exit code 0 TRUST, 3 REFLY, 4 CANNOT TELL."""
+    if again:
+        if photos is None or resume_last or session_name is not None:
+            raise InputError("--again goes with --photos FOLDER, and without --resume and --session.")
+        session_name = unended(photos)
     anchors = tuple(map(_anchor, same or ()))
     going_on = resume_last or session_name is not None
     if photos is None and not going_on:
@@ -134,7 +145,8 @@ def run_command(
     screen = Screen(talkative=not quiet and json_to != "-", hidden=hidden)
     if offer_refly and not yes and (sys.stdin is None or not sys.stdin.isatty() or not screen.talkative):
         raise InputError("Nobody is there to ask before the extra pass is uploaded: add --yes, or no offer.")
-    wishes = Wishes(out, json_to, quiet, geotag, site, offer_refly, yes)
+    passed_on = photos if again else None
+    wishes = Wishes(out, json_to, quiet, geotag, site, offer_refly, yes, passed_on)
     with ExitStack() as stack:
         session = stack.enter_context(resume(session_name)) if going_on else None
         options = _options(session, photos, reference, vehicle, idle, count, link, anchors)
@@ -142,10 +154,14 @@ def run_command(
             raise InputError(
                 "--forward, --geotag, --same and --offer-refly need the vehicle: add --link ADDRESS."
             )
+        if again:
+            options = replace(options, passed_over=earlier(options.folder))
+        notifier = stack.enter_context(Notifier())
         bus: Bus | None = None
         flight: Flight | None = None
 
         def tell(message: Message) -> None:
+            notifier.tell(message)
             screen.show(message)
             if bus is not None:
                 bus.tell(message)

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import TYPE_CHECKING, Literal
@@ -20,7 +20,7 @@ from calib.photos import LeftOut, Photo, Sorted, require_block, sort_photos
 from calib.report_json import report_dict
 from calib.result import CheckResult, Timing
 from daemon.advice import what_to_fly
-from daemon.capture.hot_folder import Arrival, HotFolder, Poll
+from daemon.capture.hot_folder import Arrival, HotFolder, Marks, Poll
 from daemon.capture.matching import Arrived, Matching, completed
 from daemon.flight_messages import capture_message, paired_words, verdict_message
 from daemon.live.schemas import Link, Log, Message, Progress, Status
@@ -45,7 +45,8 @@ _TRANSIENT_S = 0.1
 class Options:
     """``idle_s``: the flight is over when nothing has come for so long (0: only when told);
     ``count``: or when so many photos are there. ``link``: the vehicle's address. ``anchors``: numbers of
-    the vehicle's photos and the names of their files, where the operator knows."""
+    the vehicle's photos and the names of their files, where the operator knows. ``passed_over``: files in
+    the folder that belong to earlier flights."""
 
     vehicle: str
     folder: Path
@@ -54,6 +55,7 @@ class Options:
     count: int | None = None
     link: str | None = None
     anchors: tuple[tuple[int, str], ...] = ()
+    passed_over: Marks = field(default_factory=dict)
 
 
 Phase = Literal["waiting", "collecting", "concluding", "ended"]
@@ -80,7 +82,7 @@ class Flight:
         self._session, self._options, self._solver, self._tell = session, options, solver, tell
         self._clock, self._link = clock, link
         self._matching = None if link is None else Matching(session, link.book, options.anchors, clock)
-        self._hot = HotFolder(options.folder, clock=clock)
+        self._hot = HotFolder(options.folder, clock=clock, passed_over=options.passed_over)
         self._photos: dict[Path, Arrived] = {}
         self._unread: list[Photo] = []
         self._poll = Poll((), 0, ())
@@ -159,7 +161,7 @@ class Flight:
             self._tell_state()
             time.sleep(LOOK_EVERY_S)
         self._listen(at_once=True)
-        found = read_set([self._options.folder], self._progress, self._completed)
+        found = read_set(self._files(), self._progress, self._completed)
         require_block(found)
         self._missing(found.used, found.left_out)
         seq = self._session.counts().photos
@@ -218,6 +220,9 @@ class Flight:
             self._moved_s = now
         for arrival in self._poll.arrived:
             self._arrive(arrival)
+
+    def _files(self) -> list[Path]:
+        return self._hot.files() if self._options.passed_over else [self._options.folder]
 
     def _arrive(self, arrival: Arrival) -> None:
         photo = arrival.photo

@@ -18,6 +18,7 @@ from calib.output import REPORT_HTML, write_outputs
 from calib.report_json import report_json
 from calib.result import CheckResult
 from calib.wording import VERDICT_WORDS, printable
+from daemon.again import leave_files
 from daemon.capture.tagging import Kind, tag_photos
 from daemon.cli_upload import backup_folder
 from daemon.flight import Flight
@@ -38,7 +39,10 @@ MOST_PASSES = 2
 
 @dataclass(frozen=True)
 class Wishes:
-    """What becomes of the result. ``yes``: the operator's word for an upload, given in advance."""
+    """What becomes of the result. ``yes``: the operator's word for an upload, given in advance.
+
+    ``again``: folder whose next flight passes the photos of this one over (None: there is none).
+    """
 
     out: Path | None = None
     json_to: str | None = None
@@ -47,6 +51,7 @@ class Wishes:
     site: Path | None = None
     offer_refly: bool = False
     yes: bool = False
+    again: Path | None = None
 
 
 class Rounds:
@@ -92,8 +97,12 @@ class Rounds:
                 while not self._flight.over:
                     self._flight.step()
             try:
+                if wishes.again is not None:
+                    leave_files(session, wishes.again)
                 result = self._flight.conclude()
             except FieldcalError as error:
+                if wishes.again is not None:
+                    finish(session)  # Without a verdict; its photos are not tried again and again.
                 self._tell(self._log(str(error), "error"))
                 raise
         result = replace(result, exports=write_outputs(result, session.folder))

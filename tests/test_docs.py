@@ -48,7 +48,7 @@ COMMANDS = (
         for sub in ("list", "show", "compare", "import", "export", "history", "average", "verified")
     ),
     ("sim",),
-    *(("sim", sub) for sub in ("list", "survey", "vehicle")),
+    *(("sim", sub) for sub in ("list", "survey", "vehicle", "camera")),
     ("upload",),
     ("doctor",),
     ("sessions",),
@@ -58,6 +58,8 @@ COMMANDS = (
 )
 #: Options of other programs that the docs mention, and the other side of a switch.
 FOREIGN = {"--cameras", "--counter-clockwise", "--geo", "--no-live", "--strict"}
+FOREIGN |= {"--enable", "--find-links", "--home-dir", "--no-deps", "--no-index", "--now", "--only-binary"}
+FOREIGN |= {"--require-hashes", "--shell", "--system"}
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
 _FENCE = re.compile(r"^```([^\n]*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 
@@ -151,7 +153,7 @@ def test_no_option_is_invented(name: str, options: dict[tuple[str, ...], set[str
         ("docs/planning.md", [("plan",)]),
         ("docs/refly.md", [("refly",)]),
         ("docs/cameras.md", [("cameras", "import"), ("cameras", "export")]),
-        ("docs/simulator.md", [("sim", "survey"), ("sim", "vehicle")]),
+        ("docs/simulator.md", [("sim", "survey"), ("sim", "vehicle"), ("sim", "camera")]),
         ("docs/upload.md", [("upload",), ("doctor",)]),
         ("docs/sessions.md", [("sessions", "export"), ("sessions", "geotag")]),
         ("docs/run.md", [("run",)]),

@@ -8,9 +8,10 @@ from __future__ import annotations
 
 import hashlib
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from pathlib import Path
+from types import MappingProxyType
 
 from calib.errors import InputError, PhotoError
 from calib.photos.collect import photos_below
@@ -20,6 +21,8 @@ from calib.photos.read import read_photo
 #: Size, time of change in ns, and inode: any of them new is another file.
 _Mark = tuple[int, int, int]
 _BLOCK = 1 << 20
+#: Files by their absolute paths: size, time of change in ns.
+Marks = Mapping[Path, tuple[int, int]]
 
 
 @dataclass(frozen=True)
@@ -55,13 +58,19 @@ class HotFolder:
 
     Args:
         settle_s: a file that has not changed for so long may be finished.
+        passed_over: files that are none of this flight's while they are as they were (:func:`marks`).
         clock: seconds on a clock that never steps.
     """
 
     def __init__(
-        self, folder: Path, settle_s: float = 1.0, clock: Callable[[], float] = time.monotonic
+        self,
+        folder: Path,
+        settle_s: float = 1.0,
+        clock: Callable[[], float] = time.monotonic,
+        passed_over: Marks = MappingProxyType({}),
     ) -> None:
         self.folder = folder
+        self._passed_over = passed_over
         self._settle_s = settle_s
         self._clock = clock
         self._seen: dict[Path, _Seen] = {}
@@ -70,7 +79,7 @@ class HotFolder:
     def poll(self) -> Poll:
         """Look once. A folder that is away (a card pulled) is a fault that may pass; nothing is forgotten."""
         try:
-            files = photos_below(self.folder)[0]
+            files = self.files()
         except InputError as error:
             return Poll((), self._whole, (), self._absence(error))
         now = self._clock()
@@ -83,6 +92,17 @@ class HotFolder:
                 waiting.append(file)
         self._whole = sum(self._seen[file].whole for file in files)
         return Poll(tuple(arrived), self._whole, tuple(waiting))
+
+    def files(self) -> list[Path]:
+        """The photo files in the folder that are not passed over, whole or not.
+
+        Raises:
+            InputError: the folder cannot be read.
+        """
+        files = photos_below(self.folder)[0]
+        if not self._passed_over:
+            return files
+        return [file for file in files if self._passed_over.get(file.absolute()) != _mark(file)[:2]]
 
     def _absence(self, error: InputError) -> str:
         if not self.folder.exists():
@@ -108,6 +128,15 @@ class HotFolder:
             return None
         seen.whole = True
         return Arrival(photo, digest, mark[0])
+
+
+def marks(folder: Path) -> Marks:
+    """The photo files of a folder as they are now.
+
+    Raises:
+        InputError: the folder cannot be read.
+    """
+    return {file.absolute(): _mark(file)[:2] for file in photos_below(folder)[0]}
 
 
 def _mark(file: Path) -> _Mark:
