@@ -46,6 +46,7 @@ _COMMANDS = {
     "doctor": ("daemon.cli_doctor", "doctor"),
     "calibrate": ("daemon.cli_calibrate", "app"),
     "cameras": ("daemon.cli_cameras", "app"),
+    "assess": ("daemon.cli_assess", "assess_command"),
     "equifinal": ("daemon.cli_equifinal", "equifinal"),
     "perturb": ("daemon.cli_perturb", "perturb_command"),
     "sim": ("daemon.cli_sim", "app"),

@@ -38,7 +38,7 @@ def coarse_float32(first: FloatArray) -> str | None:
     largest = float(abs(first).max())
     if largest < _COARSE_FLOAT32:
         return None
-    step = 2.0 ** -23 * largest
+    step = 2.0**-23 * largest
     return (
         f"The file holds coordinates near {largest:.0f} as 32 bit floats, in steps of about {step:.2g} m: "
         "export it with 64 bit floats, as LAZ, or with a local origin."

@@ -82,15 +82,16 @@ def rewrite(cloud: CloudFile, out: Path, moved: Similarity, size: int) -> None:
             if header.order:
                 file.write(new.tobytes())
             else:
-                rows = (" ".join(_text(row[name]) for name in names) for row in new)
+                rows = map(" ".join, zip(*(_texts(new[name]) for name in names), strict=True))
                 file.write(("\n".join(rows) + "\n").encode("ascii"))
         shutil.copyfileobj(source, file)
 
 
-def _text(value: Any) -> str:
-    if isinstance(value, np.float64):
-        return f"{value:.15g}"
-    return f"{value:.9g}" if isinstance(value, np.floating) else str(value)
+def _texts(values: NDArray[Any]) -> list[str]:
+    if values.dtype.kind != "f":
+        return [str(value) for value in values.tolist()]
+    digits = 9 if values.dtype.itemsize <= 4 else 15
+    return [f"{value:.{digits}g}" for value in values.tolist()]
 
 
 def _stacked(vertices: NDArray[Any], names: tuple[str, ...]) -> FloatArray:
@@ -137,7 +138,9 @@ def _header(path: Path) -> _Header:
             count = int(words[2])
         elif words[:1] == ["property"] and count is not None:
             if len(words) != 3 or words[1] not in _TYPES:
-                raise InputError(f"{path} has vertices with lists or unknown types; save it as a plain cloud.")
+                raise InputError(
+                    f"{path} has vertices with lists or unknown types; save it as a plain cloud."
+                )
             fields.append((words[2], (order or "") + _TYPES[words[1]]))
     names = [name for name, _ in fields]
     if order is None or count is None or not set(_AXES) <= set(names) or len(set(names)) < len(names):
