@@ -23,7 +23,7 @@ from calib.references import reference_of_body
 from calib.report import SIGNS
 from calib.report_figures import figures_html
 from calib.report_json import CameraModel, JsonModel, camera_model, finite
-from calib.wording import PARAMETERS, camera_name, html_text, printable, quantity
+from calib.wording import PARAMETERS, camera_name, printable, quantity
 
 
 class StepModel(JsonModel):

@@ -47,6 +47,8 @@ _COMMANDS = {
     "calibrate": ("daemon.cli_calibrate", "app"),
     "cameras": ("daemon.cli_cameras", "app"),
     "assess": ("daemon.cli_assess", "assess_command"),
+    "correct": ("daemon.cli_correct", "correct_command"),
+    "adjust-k": ("daemon.cli_adjust_k", "adjust_k"),
     "equifinal": ("daemon.cli_equifinal", "equifinal"),
     "perturb": ("daemon.cli_perturb", "perturb_command"),
     "sim": ("daemon.cli_sim", "app"),

@@ -123,7 +123,7 @@ class Sampler:
 
 
 def near_places(cloud: LoadedCloud, xy_m: FloatArray, reach_m: float, seed: int = 0) -> Neighbourhood | None:
-    """The points of the cloud within about ``reach_m`` of places (n, 2) about its origin; None: there are none."""
+    """The cloud's points within about ``reach_m`` of places (n, 2) about its origin; None: there are none."""
     low = xy_m.min(axis=0) - 2 * reach_m
     extent = float(np.ptp(xy_m, axis=0).max()) + 4 * reach_m
     cell = max(reach_m, extent / _MOST_CELLS)

@@ -29,9 +29,9 @@ def render_assessment(made: CloudAssessment) -> str:
     name = printable(made.cloud.file.path.name)
     head = (
         '<header class="verdict measured"><h1><span>Assessment</span></h1>'
-        f"<p>{sentence(offset_text(made))} {sentence(precision_text(made))} {sentence(shape_text(made))}</p></header>"
+        f"<p>{sentence(offset_text(made))} {sentence(shape_text(made))}</p></header>"
     )
-    said = [text for text in (elevation_text(made), *made.notes) if text]
+    said = [text for text in (precision_text(made), elevation_text(made), *made.notes) if text]
     items = "".join(f"<li>{sentence(text)}</li>" for text in said)
     facts = (
         f"{name} · {made.cloud.total} points · {len(made.truth.names)} reference points, "
@@ -41,7 +41,7 @@ def render_assessment(made: CloudAssessment) -> str:
         head,
         "<main>",
         f'<p class="facts">{sentence(facts)}</p>',
-        f'<section class="fly"><h2>What else there is to say</h2><ul class="names">{items}</ul></section>'
+        f'<section class="fly"><h2>What there is to say</h2><ul class="names">{items}</ul></section>'
         if said
         else "",
         _seven_section(made),
@@ -58,7 +58,7 @@ def _seven_section(made: CloudAssessment) -> str:
     open_ = [name for name, fixed in zip(SEVEN_NAMES, made.registration.determined, strict=True) if not fixed]
     caption = (
         "From the reference points to the cloud, one standard deviation, about the middle of the points "
-        f"({at}). At the edge: what it amounts to {quantity(made.site_radius_m, None, 'm', 2)} from the middle."
+        f"({at}). At the edge: what it comes to {quantity(made.site_radius_m, None, 'm', 2)} from the middle."
     )
     if open_:
         limits = ", ".join(
@@ -72,11 +72,11 @@ def _seven_section(made: CloudAssessment) -> str:
 
 
 def _figures(made: CloudAssessment) -> list[tuple[str, str, Any]]:
-    entries = [
+    return [
         (
             "Map of what is left",
-            "How much higher (red) or lower (blue) the cloud is than the reference surface after shift, turn and "
-            "scale. Circles: reference points; crosses: those left out.",
+            "How much higher (red) or lower (blue) the cloud is than the reference surface after shift, turn "
+            "and scale. Circles: reference points; crosses: those left out.",
             eta_map_figure(made),
         ),
         (
@@ -94,7 +94,6 @@ def _figures(made: CloudAssessment) -> list[tuple[str, str, Any]]:
             elevation_figure(made),
         ),
     ]
-    return entries
 
 
 def _points_section(made: CloudAssessment, most: int = 12) -> str:
@@ -127,12 +126,12 @@ def _provenance(made: CloudAssessment) -> str:
             "Registration",
             "on points picked in the cloud"
             if made.by_picked
-            else f"on the cloud's surface, through its points within {quantity(registration.radius_m, None, 'm', 2)}",
+            else f"on the cloud's surface (points within {quantity(registration.radius_m, None, 'm', 2)})",
         ),
         (
             "Left by the registration",
             f"{quantity(registration.seven.residual_mean_m, None, 'm', 2)} ± "
-            f"{quantity(registration.seven.residual_std_m, None, 'm', 2)} (mean and standard deviation, vertical)",
+            f"{quantity(registration.seven.residual_std_m, None, 'm', 2)} (mean and deviation, vertical)",
         ),
         ("Neighbours share errors", f"variances times {registration.correlation:.2f}"),
         ("Points under eta_p", f"{made.eta.points}; {made.eta.outside} lie beyond the reference points"),

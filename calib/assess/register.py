@@ -13,8 +13,8 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib.assess.local import Heights, Neighbourhood, Sampler, near_places
 from calib.assess.model import Seven, seven_derivatives, seven_parameters, similarity_of
-from calib.assess.local import Neighbourhood, Heights, Sampler, near_places
 from calib.camera import FloatArray
 from calib.clouds import LoadedCloud
 from calib.errors import InputError
@@ -111,7 +111,7 @@ def register(
 
 @dataclass(frozen=True)
 class _Fit:
-    """The last state of an adjustment; ``residual`` and ``derivatives`` of all n points, NaN where no cloud is.
+    """The last state of an adjustment; ``residual``, ``derivatives`` of all n points, NaN where no cloud is.
 
     ``straight``: residuals without second-order terms; ``information`` (10, 10) of the seven and those three
     at ``variance``; ``prior_sigmas`` (10,).

@@ -153,7 +153,7 @@ def assess_cloud(
     Raises:
         InputError: too few points, or they do not lie over the cloud.
     """
-    tell = tick or (lambda stage, done, total: None)
+    tell = tick or _silent
     points = truth.xyz_m
     on = np.ones(len(points), bool) if on is None else on
     tell("registering", 0, 0)
@@ -182,6 +182,10 @@ def assess_cloud(
     )  # fmt: skip
 
 
+def _silent(stage: str, done: int, total: int) -> None:
+    del stage, done, total
+
+
 def _remarks(registration: Registration, truth: Truth) -> list[str]:
     notes = []
     missing = ~np.isfinite(registration.residual_m)
@@ -198,7 +202,7 @@ def _remarks(registration: Registration, truth: Truth) -> list[str]:
     if abs(offset) > DATUM_M:
         notes.append(
             f"The cloud lies {abs(offset):.1f} m too {'high' if offset > 0 else 'low'}. Heights above the "
-            "ellipsoid against heights above the sea differ by such amounts, and so do wrong take-off heights."
+            "ellipsoid against heights above the sea differ by as much, and so do wrong take-off heights."
         )
     return notes
 

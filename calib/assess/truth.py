@@ -71,7 +71,7 @@ def read_truth(path: Path, crs: CRS | None, cloud_crs: CRS | None) -> Truth:
         moved = Transformer.from_crs(crs, cloud_crs, always_xy=True).transform(*xyz.T, errcheck=True)
     except ProjError as error:
         raise InputError(
-            f"The points of {path} are not in {crs.name}: their coordinates cannot be carried to {cloud_crs.name}."
+            f"The points of {path} cannot be carried from {crs.name} to {cloud_crs.name}: is --crs right?"
         ) from error
     note = f"The points were carried from {crs.name} to {cloud_crs.name}."
     return Truth(names, np.column_stack(moved), (note,))
@@ -145,7 +145,7 @@ def _cause(xyz: FloatArray, low: FloatArray, high: FloatArray) -> str:
     if _over(xyz[:, [1, 0, 2]], low, high):
         return "With x and y exchanged they would: swap the columns of the file."
     if (np.abs(xyz[:, 0]) <= 180).all() and (np.abs(xyz[:, 1]) <= 180).all() and np.abs(low[:2]).max() > 1000:
-        return "They look like degrees or local coordinates: give their system with --crs (EPSG:4326 for degrees)."
+        return "They look like degrees or local: give their system with --crs (EPSG:4326 for degrees)."
     if (
         np.abs(low[:2]).max() < 1000 * max(1.0, float((high - low).max()) / 100)
         and np.abs(xyz[:, :2]).max() > 1e5

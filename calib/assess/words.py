@@ -45,9 +45,9 @@ def precision_text(made: CloudAssessment) -> str:
     return (
         f"What no shift, turn or scale removes (eta_p) is {quantity(made.eta.eta_p_m, sigma, 'm', 3)}"
         + _percent(made.eta.eta_p_m, made)
-        + f"; without the worst points (grass, mismatches) {quantity(made.eta.robust_m, None, 'm', 2)}. At the "
-        f"reference points themselves it is {quantity(made.at_points_m, None, 'm', 2)}; more in between is "
-        "relief that they do not show."
+        + f"; without the worst points (grass, mismatches) {quantity(made.eta.robust_m, None, 'm', 2)}. At "
+        f"the reference points themselves it is {quantity(made.at_points_m, None, 'm', 2)}; more in between "
+        "is relief that they do not show."
     )
 
 
@@ -63,8 +63,8 @@ def shape_text(made: CloudAssessment) -> str:
     limit = abs(bowl.amplitude_m) + _SIGMAS * bowl.sigma_m
     if bowl.chance < SIGNIFICANT:
         return (
-            f"Neither dome nor dish ({size}), but the cloud is bent otherwise: second-order terms as large come "
-            f"by chance in {100 * bowl.chance:.1g} % of cases."
+            f"Neither dome nor dish ({size}), but the cloud is bent otherwise: second-order terms as large "
+            f"come by chance in {100 * bowl.chance:.1g} % of cases."
         )
     return f"Neither dome nor dish can be told; one of {quantity(limit, None, 'm', 2)} would have been."
 
@@ -88,9 +88,8 @@ def offset_text(made: CloudAssessment) -> str:
     if registration.determined[:2].all():
         parts.append(f"{quantity(float(np.hypot(*seven.values[:2])), None, 'm', 2)} off in plan")
     if registration.determined[2]:
-        parts.append(
-            f"{quantity(abs(float(seven.values[2])), None, 'm', 2)} too {'high' if seven.values[2] > 0 else 'low'}"
-        )
+        up = float(seven.values[2])
+        parts.append(f"{quantity(abs(up), None, 'm', 2)} too {'high' if up > 0 else 'low'}")
     if registration.determined[6]:
         error = float(seven.values[6]) - 100
         parts.append(f"{quantity(abs(error), None, '%', 2)} too {'large' if error > 0 else 'small'}")
