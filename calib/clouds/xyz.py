@@ -108,8 +108,9 @@ def _named(path: Path, line: str, number: int) -> _Layout | None:
     if x is None or y is None or z is None:
         return None
     with path.open("rb") as file:
-        after = [file.readline(10_000) for _ in range(number + 2)][-1]
-    return _Layout(number + 1, (x, y, z), _delimiter(after.decode("utf-8", "replace")))
+        after = [file.readline(10_000).decode("utf-8", "replace").strip() for _ in range(number + 100)]
+    first = next((row for row in after[number + 1 :] if row and not row.startswith(_COMMENTS)), "")
+    return _Layout(number + 1, (x, y, z), _delimiter(first))
 
 
 def _delimiter(line: str) -> str | None:
