@@ -20,10 +20,11 @@ from calib.errors import FormatError
 
 _LARGEST_BYTES = 50_000_000
 _NAMES = ("name", "label", "point", "id", "target", "marker")
-_X, _Y, _Z = (
-    ("x", "east", "easting", "e", "x_m"),
-    ("y", "north", "northing", "n", "y_m"),
-    ("z", "height", "up", "h", "z_m"),
+#: Names of the columns x, y and z in tables of points.
+AXIS_NAMES = (
+    ("x", "east", "easting", "e", "x_m", "longitude", "lon"),
+    ("y", "north", "northing", "n", "y_m", "latitude", "lat"),
+    ("z", "height", "up", "h", "z_m", "elevation", "altitude"),
 )
 _SIGMAS = (("sigma_x_m", "sx", "sigma_xy_m"), ("sigma_y_m", "sy", "sigma_xy_m"), ("sigma_z_m", "sz"))
 _PHOTOS = ("photo", "image", "file", "filename", "image_name")
@@ -62,16 +63,17 @@ class Marks:
     source: str
 
 
-def read_points(path: Path) -> tuple[ControlPoint, ...]:
+def read_points(path: Path, degrees: bool = False) -> tuple[ControlPoint, ...]:
     """Points from a CSV with a header: name, x, y, z, and where known sigma_x_m, sigma_y_m, sigma_z_m
-    (or sigma_m) and role (control or check); or as Pix4D writes them, without a header.
+    (or sigma_m) and role (control or check); or as Pix4D writes them, without a header. ``degrees``: x and y
+    may be longitude and latitude.
 
     Raises:
         FormatError: the file cannot be read or used; one sentence.
     """
     rows, columns = _table(path, _PIX4D_POINTS)
     name = _column(path, columns, _NAMES, "name")
-    axes = [_column(path, columns, wanted, wanted[0]) for wanted in (_X, _Y, _Z)]
+    axes = [_column(path, columns, wanted, wanted[0]) for wanted in AXIS_NAMES]
     points: list[ControlPoint] = []
     seen: set[str] = set()
     for number, row in rows:
@@ -89,7 +91,8 @@ def read_points(path: Path) -> tuple[ControlPoint, ...]:
         )
     if not points:
         raise FormatError(f"{path} holds no points.")
-    _check_metres(path, points)
+    if not degrees:
+        _check_metres(path, points)
     return tuple(points)
 
 

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Sequence
 from dataclasses import replace
 from importlib import metadata
 from typing import Any, Literal
@@ -17,15 +16,15 @@ from calib.control_subset import subsets
 from calib.figures import correlation_figure
 from calib.figures.control import control_profiles_figure, marks_figure
 from calib.findings import State
-from calib.html_page import drawn_sign, facts_section, html_page, sentence
+from calib.html_page import drawn_sign, facts_section, html_page, sentence, table_section
 from calib.onsite import calibration_date
 from calib.propagation import BROWN_KEYS, correlations
 from calib.reference import Reference
 from calib.references import reference_of_body
 from calib.report import SIGNS
 from calib.report_figures import figures_html
-from calib.report_json import CameraModel, JsonModel, camera_model
-from calib.wording import PARAMETERS, camera_name, html_text, printable, quantity
+from calib.report_json import CameraModel, JsonModel, camera_model, finite
+from calib.wording import PARAMETERS, camera_name, printable, quantity
 
 
 class StepModel(JsonModel):
@@ -85,7 +84,7 @@ def control_report(made: ControlCalibration, saved_as: str | None = None) -> Con
         schema="fieldcal.control/1",
         camera=camera_model(made.photos[0].camera),
         photos=[printable(photo.path.name) for photo in made.photos],
-        sigma0=_finite(made.fit.sigma0),
+        sigma0=finite(made.fit.sigma0),
         parameters=dict(zip(BROWN_KEYS, map(float, made.camera.vector), strict=True)),
         sigma={
             key: float(np.sqrt(covariance[i, i])) for i, key in enumerate(BROWN_KEYS) if covariance[i, i] > 0
@@ -95,9 +94,9 @@ def control_report(made: ControlCalibration, saved_as: str | None = None) -> Con
             StepModel(
                 name=step.name,
                 parameters=list(step.parameters),
-                sigma0=_finite(step.sigma0),
-                control_rms_px=_finite(step.control_rms_px),
-                check_rms_px=_finite(step.check_rms_px),
+                sigma0=finite(step.sigma0),
+                control_rms_px=finite(step.control_rms_px),
+                check_rms_px=finite(step.check_rms_px),
                 chance=step.chance,
                 kept=step.kept,
             )
@@ -189,20 +188,6 @@ def _blunders(made: ControlCalibration) -> str:
     return f'<section class="fly"><h2>What to look at</h2><ul class="names">{items}</ul></section>'
 
 
-def _table(title: str, caption: str, heads: tuple[str, ...], rows: Sequence[tuple[str, ...]]) -> str:
-    head = "".join(f'<th scope="col">{html_text(text)}</th>' for text in heads)
-    body = "".join(
-        f'<tr><th scope="row">{html_text(row[0])}</th>'
-        + "".join(f"<td>{html_text(cell)}</td>" for cell in row[1:])
-        + "</tr>"
-        for row in rows
-    )
-    return (
-        f"<section><h2>{html_text(title)}</h2><table><caption>{sentence(caption)}</caption>"
-        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></section>"
-    )
-
-
 def _steps(made: ControlCalibration) -> str:
     rows = []
     for step in made.steps:
@@ -217,7 +202,7 @@ def _steps(made: ControlCalibration) -> str:
                 "kept" if step.kept else "left out",
             )
         )
-    return _table(
+    return table_section(
         "Release in steps",
         "Each step joins those kept before it; it stays where chance explains its gain with less than 1 %.",
         ("Step", "sigma0", "Control", "Check", "Chance", ""),
@@ -233,7 +218,7 @@ def _points(made: ControlCalibration) -> str:
         rows.append(
             (name, str(error.points), str(error.marks), quantity(error.rms_px, None, "px", 3), *sizes)
         )
-    return _table(
+    return table_section(
         "Points",
         "Rms of the marks per coordinate; root mean square errors of the points from their marks, x y z.",
         ("Points", "Number", "Marks", "Marks rms", "x", "y", "z"),
@@ -286,7 +271,7 @@ def _parameters(made: ControlCalibration) -> str:
             name, unit = PARAMETERS[key]
             shown = quantity(float(value), float(sigma), unit, 6) + ("" if sigma > 0 else " (held)")
             rows.append((name, shown))
-    return _table(
+    return table_section(
         "Parameters",
         "One standard deviation. K and P in focal units; undistorted to distorted; image corner at (0, 0).",
         ("Parameter", "This calibration"),
@@ -309,10 +294,6 @@ def _errors(made: ControlCalibration, check: bool) -> ErrorModel:
     return ErrorModel(
         points=int(mine.sum()),
         marks=int((made.used & mine[made.marks.point]).sum()),
-        rms_px=_finite(made.rms_px(check)),
-        rmse_m=[_finite(float(v)) for v in made.rmse_m(check)],
+        rms_px=finite(made.rms_px(check)),
+        rmse_m=[finite(float(v)) for v in made.rmse_m(check)],
     )
-
-
-def _finite(value: float) -> float | None:
-    return float(value) if math.isfinite(value) else None

@@ -57,17 +57,31 @@ def write_bytes_atomic(path: Path, data: bytes) -> None:
         if path.exists() and not path.is_file() and not path.is_dir():
             path.write_bytes(data)
             return
-        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", dir=path.parent)
-        try:
-            with os.fdopen(descriptor, "wb") as file:
-                file.write(data)
-                file.flush()
+        with staged(path) as fresh, fresh.open("wb") as file:
+            file.write(data)
+
+
+@contextmanager
+def staged(path: Path) -> Iterator[Path]:
+    """A sibling of ``path`` to write to, renamed to ``path`` at the end; gone if anything fails.
+
+    Raises:
+        OutputError: not writable, no such folder, disk full.
+    """
+    with output_errors(path):
+        descriptor, name = tempfile.mkstemp(prefix=f".{path.name}.", suffix=path.suffix, dir=path.parent)
+        os.close(descriptor)
+    fresh = Path(name)
+    try:
+        yield fresh
+        with output_errors(path):
+            with fresh.open("rb") as file:
                 settle(file.fileno())
-            _open_to_all(Path(name))
-            Path(name).replace(path)
-        except BaseException:
-            Path(name).unlink(missing_ok=True)
-            raise
+            _open_to_all(fresh)
+            fresh.replace(path)
+    except BaseException:
+        fresh.unlink(missing_ok=True)
+        raise
 
 
 def check_writable(out_dir: Path) -> None:

@@ -69,6 +69,21 @@ def facts_section(
     return f'<section aria-labelledby="{name}"><h2 id="{name}">{heading}</h2><dl>{items}</dl></section>'
 
 
+def table_section(title: str, caption: str, heads: tuple[str, ...], rows: Iterable[tuple[str, ...]]) -> str:
+    """A section that is a table; the first cell of every row is its head."""
+    head = "".join(f'<th scope="col">{html_text(text)}</th>' for text in heads)
+    body = "".join(
+        f'<tr><th scope="row">{html_text(row[0])}</th>'
+        + "".join(f"<td>{html_text(cell)}</td>" for cell in row[1:])
+        + "</tr>"
+        for row in rows
+    )
+    return (
+        f"<section><h2>{html_text(title)}</h2><table><caption>{sentence(caption)}</caption>"
+        f"<thead><tr>{head}</tr></thead><tbody>{body}</tbody></table></section>"
+    )
+
+
 def _bundled(name: str) -> str:
     return resources.files("calib").joinpath("data", name).read_text(encoding="utf-8")
 

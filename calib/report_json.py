@@ -188,19 +188,19 @@ def check_report(result: CheckResult) -> CheckReport:
             nadir=result.network.nadir,
             convergent=result.network.convergent,
             heights_agl_m=[float(h) for h in result.network.heights_agl_m if metric and math.isfinite(h)],
-            gsd_m=_finite(result.network.gsd_m) if metric else None,
+            gsd_m=finite(result.network.gsd_m) if metric else None,
         ),
         georeference=GeoreferenceModel(
             crs=solution.georeference.crs,
-            rms_xy_m=_finite(solution.georeference.rms_xy_m),
-            rms_z_m=_finite(solution.georeference.rms_z_m),
+            rms_xy_m=finite(solution.georeference.rms_xy_m),
+            rms_z_m=finite(solution.georeference.rms_z_m),
             trusted=bool(solution.georeference.trusted),
             fault=solution.georeference.fault,
         ),
         dome=DomeModel(
-            amplitude_m=_finite(result.dome.amplitude_m) if metric else None,
-            amplitude_percent=_finite(result.dome.amplitude_percent),
-            sigma_m=_finite(result.dome.sigma_m) if metric else None,
+            amplitude_m=finite(result.dome.amplitude_m) if metric else None,
+            amplitude_percent=finite(result.dome.amplitude_percent),
+            sigma_m=finite(result.dome.sigma_m) if metric else None,
         ),
         timing=timing_model(result.timing),
         exports=dict(result.exports),
@@ -212,10 +212,10 @@ def finding_models(findings: tuple[Finding, ...]) -> list[FindingModel]:
         FindingModel(
             rule=finding.rule,
             state=finding.state.value,
-            value=_finite(finding.value),
-            sigma=_finite(finding.sigma),
+            value=finite(finding.value),
+            sigma=finite(finding.sigma),
             unit=finding.unit,
-            threshold=_finite(finding.threshold),
+            threshold=finite(finding.threshold),
             source=finding.source,
             message=printable(finding.message),
         )
@@ -248,7 +248,7 @@ def alignment_model(result: WithLeftOut) -> AlignmentModel:
         components=list(solution.components),
         points=len(solution.points_m),
         observations=len(solution.observations),
-        reprojection_rms_px=_finite(solution.rms_px),
+        reprojection_rms_px=finite(solution.rms_px),
         left_out=[
             LeftOutModel(path=path_text(item.path), reason=printable(item.reason))
             for item in all_left_out(result)
@@ -258,15 +258,15 @@ def alignment_model(result: WithLeftOut) -> AlignmentModel:
 
 def timing_model(timing: Timing) -> TimingModel:
     return TimingModel(
-        wall_s=_finite(timing.wall_s),
-        cpu_s=_finite(timing.cpu_s),
-        photos_per_s=_finite(timing.photos_per_s),
+        wall_s=finite(timing.wall_s),
+        cpu_s=finite(timing.cpu_s),
+        photos_per_s=finite(timing.photos_per_s),
     )
 
 
 def calibration_model(estimate: Estimate) -> CalibrationModel:
-    values = {key: _finite(value) for key, value in parameter_values(estimate.brown).items()}
-    sigma = {key: _finite(value) for key, value in parameter_sigmas(estimate).items()}
+    values = {key: finite(value) for key, value in parameter_values(estimate.brown).items()}
+    sigma = {key: finite(value) for key, value in parameter_sigmas(estimate).items()}
     keys, matrix = correlations(estimate.covariance)
     table = {a: {b: float(matrix[i, j]) for j, b in enumerate(keys)} for i, a in enumerate(keys)}
     return CalibrationModel(**values, sigma=SigmaModel(**sigma), correlation=table)
@@ -277,11 +277,12 @@ def _reference(reference: Reference, note: str) -> ReferenceModel:
         name=printable(reference.name),
         source=printable(reference.source),
         processing=reference.processing.value,
-        f_px=_finite(reference.f_px),
+        f_px=finite(reference.f_px),
         note=printable(note),
     )
 
 
-def _finite(value: float | None) -> float | None:
+def finite(value: float | None) -> float | None:
+    """JSON knows no NaN and no infinity."""
     """``value`` as a float, or None where it is unknown or not a number."""
     return None if value is None or not math.isfinite(value) else float(value)

@@ -36,6 +36,9 @@ NAMES = [page.relative_to(ROOT).as_posix() for page in PAGES]
 COMMANDS = (
     (),
     ("check",),
+    ("assess",),
+    ("correct",),
+    ("adjust-k",),
     ("equifinal",),
     ("perturb",),
     ("plan",),
@@ -148,6 +151,7 @@ def test_no_option_is_invented(name: str, options: dict[tuple[str, ...], set[str
     ("page", "commands"),
     [
         ("docs/check.md", [("check",)]),
+        ("docs/assess.md", [("assess",), ("correct",), ("adjust-k",)]),
         ("docs/equifinal.md", [("equifinal",)]),
         ("docs/perturb.md", [("perturb",)]),
         ("docs/planning.md", [("plan",)]),

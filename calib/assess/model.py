@@ -31,14 +31,39 @@ class Seven:
 
     ``values`` and ``sigmas`` (7,) in the order of ``SEVEN_NAMES``: Tx Ty Tz in m; Rphi about z, then
     Rtheta about x, then Rpsi about y, degrees; S in percent, 100 where the model has the true scale.
-    ``residual_mean_m``, ``residual_std_m``: vertical, at the points of the registration.
+    ``covariance`` (7, 7) of the values. ``residual_mean_m``, ``residual_std_m``: vertical, at the points
+    of the registration.
     """
 
     similarity: Similarity
     values: FloatArray
-    sigmas: FloatArray
+    covariance: FloatArray
     residual_mean_m: float
     residual_std_m: float
+
+    @property
+    def sigmas(self) -> FloatArray:
+        return np.asarray(np.sqrt(np.diag(self.covariance)))
+
+
+def similarity_of(values: FloatArray) -> Similarity:
+    """The transformation of seven values (7,) in the order of ``SEVEN_NAMES``."""
+    return Similarity(float(values[6]) / 100, _matrix(values[3:6]), np.asarray(values[:3], float))
+
+
+def seven_derivatives(values: FloatArray, reference_m: FloatArray) -> FloatArray:
+    """How transformed points (n, 3) move with each of the seven values: (n, 3, 7)."""
+    at = similarity_of(values)
+    design = np.zeros((len(reference_m), 3, 7))
+    design[:, [0, 1, 2], [0, 1, 2]] = 1
+    small = 1e-4
+    for i in range(3):
+        step = np.zeros(3)
+        step[i] = small
+        turned = (_matrix(values[3:6] + step) - _matrix(values[3:6] - step)) / (2 * small)
+        design[:, :, 3 + i] = at.scale * reference_m @ turned.T
+    design[:, :, 6] = reference_m @ at.rotation.T / 100
+    return design
 
 
 def _matrix(angles_deg: FloatArray) -> FloatArray:
@@ -62,24 +87,14 @@ def seven_parameters(reference_m: FloatArray, model_m: FloatArray) -> Seven:
         raise InputError("Seven parameters need three points that are not on one line.")
     fitted = fit_similarity(reference_m, model_m)
     angles = Rotation.from_matrix(fitted.rotation).as_euler(_ORDER, degrees=True)
+    values = np.concatenate([fitted.shift, angles, [100 * fitted.scale]])
     rest = model_m - fitted.apply(reference_m)
-    n = len(model_m)
-    design = np.zeros((n, 3, 7))
-    design[:, [0, 1, 2], [0, 1, 2]] = 1
-    small = 1e-4
-    for i in range(3):
-        step = np.zeros(3)
-        step[i] = small
-        turned = (_matrix(angles + step) - _matrix(angles - step)) / (2 * small)
-        design[:, :, 3 + i] = fitted.scale * reference_m @ turned.T
-    design[:, :, 6] = reference_m @ fitted.rotation.T / 100
-    flat = design.reshape(-1, 7)
+    flat = seven_derivatives(values, reference_m).reshape(-1, 7)
     columns = np.linalg.norm(flat, axis=0)
     inverse = np.linalg.pinv((flat / columns).T @ (flat / columns))
-    variance = float(np.sum(rest**2)) / max(3 * n - 7, 1)
-    sigmas = np.sqrt(variance * np.diag(inverse)) / columns
-    values = np.concatenate([fitted.shift, angles, [100 * fitted.scale]])
-    return Seven(fitted, values, sigmas, float(rest[:, 2].mean()), float(rest[:, 2].std()))
+    variance = float(np.sum(rest**2)) / max(3 * len(model_m) - 7, 1)
+    covariance = variance * inverse / np.outer(columns, columns)
+    return Seven(fitted, values, covariance, float(rest[:, 2].mean()), float(rest[:, 2].std()))
 
 
 class Surface:
