@@ -40,6 +40,8 @@ if TYPE_CHECKING:
     from daemon.live.bus import Bus
 
 MISSING = "The live status needs zenoh, which is not installed: pip install 'fieldcal[flight]'"
+#: For a flight that goes on without its vehicle.
+NO_LINK = "none"
 LINK_HELP = f"{TO_HELP.rstrip('.')}, or a recorded FLIGHT.tlog."
 ConnectOption = Annotated[
     list[str] | None,
@@ -151,10 +153,11 @@ def run_command(
     with ExitStack() as stack:
         session = stack.enter_context(resume(session_name)) if going_on else None
         options = _options(session, photos, reference, vehicle, idle, count, link, anchors)
-        if options.link is None and (forward is not None or geotag is not None or anchors or offer_refly):
-            raise InputError(
-                "--forward, --geotag, --same and --offer-refly need the vehicle: add --link ADDRESS."
-            )
+        if options.link is None and (forward is not None or offer_refly):
+            raise InputError("--forward and --offer-refly need the vehicle: add --link ADDRESS.")
+        told_before = session is not None and session.counts().triggers > 0
+        if options.link is None and not told_before and (geotag is not None or anchors):
+            raise InputError("--geotag and --same need what the vehicle tells: add --link ADDRESS.")
         if again:
             options = replace(options, passed_over=earlier(options.folder))
         notifier = stack.enter_context(Notifier())
@@ -181,7 +184,7 @@ def run_command(
             bus = _bus(options.vehicle, settings, answers_of(lambda: session), commands)
             if bus is not None:
                 stack.enter_context(bus)
-        source = None if options.link is None else _source(options.link, forward)
+        source = _source(options.link, forward, recorded=link is None)
         if source is not None:
             stack.callback(source.close)
         # Only now, so that what is refused leaves no empty flight behind.
@@ -192,7 +195,7 @@ def run_command(
         if screen.talkative:
             print(f"Flight {session.folder.name}: photos from {printable(str(options.folder))}.")
             print("Ctrl-C: no more photos, give the verdict. Twice: leave; `fieldcal run --resume` goes on.")
-            if options.link is not None:
+            if source is not None and options.link is not None:
                 print(f"The vehicle is listened to on {printable(options.link)}.")
         flight = Flight(session, options, solver, tell, link=told)
         return Rounds(flight, session, told, screen, wishes, options.vehicle, tell).run().exit_code
@@ -242,7 +245,7 @@ def _options(
         reference=reference or then.get("reference"),
         idle_s=idle,
         count=count,
-        link=link or then.get("link"),
+        link=None if link == NO_LINK else link or then.get("link"),
         anchors=anchors,
     )
 
@@ -254,11 +257,22 @@ def _anchor(text: str) -> tuple[int, str]:
     return int(number), Path(name).name
 
 
-def _source(address: str, forward: str | None) -> Link | Replay:
-    """Loaded only for those who want it: it needs a library that others may not have."""
-    from daemon.flight_link import open_source
+def _source(address: str | None, forward: str | None, recorded: bool) -> Link | Replay | None:
+    """Loaded only for those who want it: it needs a library that others may not have.
 
-    return open_source(address, forward_to(forward))
+    ``recorded``: the address is that of an earlier run, whose vehicle may be far away by now.
+    """
+    if address is None:
+        return None
+    try:
+        from daemon.flight_link import open_source
+
+        return open_source(address, forward_to(forward))
+    except InputError as error:
+        if not recorded:
+            raise
+        print(f"fieldcal: going on without the vehicle: {error}", file=sys.stderr)
+        return None
 
 
 def _follow(source: Link | Replay, session: Session) -> FlightLink:

@@ -22,6 +22,7 @@ from calib.result import CheckResult, Timing
 from daemon.advice import what_to_fly
 from daemon.capture.hot_folder import Arrival, HotFolder, Marks, Poll
 from daemon.capture.matching import Arrived, Matching, completed
+from daemon.capture.trigger_book import TriggerBook
 from daemon.flight_messages import capture_message, paired_words, verdict_message
 from daemon.live.schemas import Link, Log, Message, Progress, Status
 from daemon.session.rows import ClockName, Event, PhotoFile, SolutionRecord, Stamp, VerdictRecord
@@ -81,7 +82,10 @@ class Flight:
     ) -> None:
         self._session, self._options, self._solver, self._tell = session, options, solver, tell
         self._clock, self._link = clock, link
-        self._matching = None if link is None else Matching(session, link.book, options.anchors, clock)
+        # Without a link what was told in an earlier run still places the photos of a card read at home.
+        book = link.book if link is not None else TriggerBook(session) if session.counts().triggers else None
+        self._book = book
+        self._matching = None if book is None else Matching(session, book, options.anchors, clock)
         self._hot = HotFolder(options.folder, clock=clock, passed_over=options.passed_over)
         self._photos: dict[Path, Arrived] = {}
         self._unread: list[Photo] = []
@@ -238,14 +242,14 @@ class Flight:
 
     def _listen(self, at_once: bool = False) -> None:
         """Take in what the link tells, and pair if it is time or ``at_once``."""
-        if self._link is None or self._matching is None:
-            return
-        self._link.poll()
-        for level, text in self._link.news():
-            self._say(text, level)
-        self._matching.look(self._photos, at_once)
-        if at_once:
-            self._say(paired_words(self._matching.pairing, len(self._photos), self._link.book))
+        if self._link is not None:
+            self._link.poll()
+            for level, text in self._link.news():
+                self._say(text, level)
+        if self._matching is not None and self._book is not None:
+            self._matching.look(self._photos, at_once)
+            if at_once:
+                self._say(paired_words(self._matching.pairing, len(self._photos), self._book))
 
     def _completed(self, photos: Sequence[Photo]) -> Sequence[Photo]:
         """The photos with positions and angles of their triggers, where they have none themselves."""
@@ -389,5 +393,4 @@ class Flight:
                 )
             )
         self._tell(Link(vehicle=vehicle) if link is None else link.message(vehicle))
-        book = None if link is None else link.book
-        self._tell(capture_message(vehicle, self._poll, book, self._matching))
+        self._tell(capture_message(vehicle, self._poll, self._book, self._matching))

@@ -144,12 +144,13 @@ def offer(
         time.sleep(0.2)
     try:
         mission = load(found.mission, flavour_of(link.state))
-        broken = [
-            f for f in check_file(mission.plan, flavour_of(link.state), told.place) if f.hard and not f.ok
-        ]
+        findings = [f for f in check_file(mission.plan, flavour_of(link.state), told.place) if not f.ok]
+        broken = [f for f in findings if f.hard]
         if broken:
             say(f"The extra pass was not uploaded: {broken[0].message}")
             return False
+        for finding in findings:
+            say(f"Note: {finding.message}")
         with late_line(busy) as progress:
             result = upload(link, mission.mission, word, keep_in, Terms(holding=True), progress)
     except NotAllowedError as error:

@@ -125,13 +125,17 @@ def test_a_vehicle_that_flies_is_waited_for(check: FlownCheck, session: Session)
         assert pilot.mode is Mode.HOLD
 
 
-def test_what_may_not_be_flown_from_here_is_not_offered(check: FlownCheck, session: Session) -> None:
-    """The vehicle stands two kilometres from where the pass begins."""
+def test_what_does_not_fit_the_vehicle_is_said_or_refused(check: FlownCheck, session: Session) -> None:
     with bench("px4", check, session) as here:
         at = here.told.launch
         assert at is not None
-        here.found = find_pass(session, None, (at[0] + 0.02, at[1]), "px4")
-        assert here.found.photos == 0 or not here.offer()
+        here.found = find_pass(session, None, (at[0] + 0.001, at[1]), "px4")
+        assert not here.offer(yes=False)
+        assert any("from the planned launch point" in text for text in here.said)
+        here.found = find_pass(session, None, at, "ardupilot")
+        assert not here.offer()
+        assert "was not uploaded" in here.said[-1]
+        assert here.asked == 1
         assert here.server.vehicle.transfer.mission == []
 
 
