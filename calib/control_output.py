@@ -237,7 +237,7 @@ def _subsets(made: ControlCalibration) -> str:
     ]
     if not rows:
         return ""
-    return _table(
+    return table_section(
         "The most telling photos alone",
         "Chosen one by one for what they add to the calibration; the largest difference of a parameter from "
         "that of all photos, in sigmas of both.",
