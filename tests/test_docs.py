@@ -60,7 +60,7 @@ COMMANDS = (
     ("status",),
 )
 #: Options of other programs that the docs mention, and the other side of a switch.
-FOREIGN = {"--cameras", "--counter-clockwise", "--geo", "--no-live", "--strict"}
+FOREIGN = {"--cameras", "--counter-clockwise", "--geo", "--strict"}
 FOREIGN |= {"--enable", "--find-links", "--home-dir", "--no-deps", "--no-index", "--now", "--only-binary"}
 FOREIGN |= {"--require-hashes", "--shell", "--system"}
 _OPTION = re.compile(r"(?<![\w-])--[a-z][a-z0-9-]*")
@@ -106,7 +106,9 @@ def options() -> dict[tuple[str, ...], set[str]]:
     for command in COMMANDS:
         with contextlib.redirect_stdout(io.StringIO()) as out:
             assert cli.run([*command, "--help"]) == 0
-        found[command] = set(re.findall(r"^\s+(--[a-z][a-z0-9-]*)", out.getvalue(), re.MULTILINE))
+        said = out.getvalue()
+        found[command] = set(re.findall(r"^\s+(--[a-z][a-z0-9-]*)", said, re.MULTILINE))
+        found[command] |= set(re.findall(r"(?<= / )--no-[a-z-]+", said))
     return found
 
 
