@@ -180,9 +180,9 @@ _TIME = (
 )
 _PEER = (
     "Registration: 1500 points that are in a cloud of 60 000 exactly, seven parameters unknown. Distances: "
-    "20 000 points, 5 cm of noise, to the mesh of 600 points; ours, which are vertical, times the cosine of the "
-    "triangle's slope, because CloudCompare measures along its normal; 95 % of the points, because the others "
-    "have a neighbouring triangle that is nearer than the one below them."
+    "20 000 points, 5 cm of noise, to the mesh of 600 points; ours, which are vertical, times the cosine of "
+    "the triangle's slope, because CloudCompare measures along its normal; 95 % of the points, because the "
+    "others have a neighbouring triangle that is nearer than the one below them."
 )
 
 

@@ -20,7 +20,7 @@ EPSG = 32630
 
 def ground_m(x: FloatArray, y: FloatArray) -> FloatArray:
     """Gentle hills, so that straight lines between points five metres apart miss a centimetre."""
-    height: FloatArray = 2.5 * np.sin(x / 22) + 2 * np.cos(y / 24 + x / 50) + 0.02 * x
+    height: FloatArray = 2.5 * np.sin(x / 30) + 2 * np.cos(y / 32 + x / 60) + 0.02 * x
     return height
 
 
@@ -46,8 +46,8 @@ class Case:
 
 
 def made(
-    seed: int, eta_m: float = 0.1, dome_m: float = 0.0, outliers: float = 0.0, points: int = 20_000,
-    references: int = 500, flat: bool = False, values: FloatArray | None = None,
+    seed: int, eta_m: float = 0.1, dome_m: float = 0.0, outliers: float = 0.0, points: int = 40_000,
+    references: int = 576, flat: bool = False, values: FloatArray | None = None,
 ) -> Case:  # fmt: skip
     rng = np.random.default_rng(seed)
     shape = flat_m if flat else ground_m
@@ -57,7 +57,10 @@ def made(
     xy = rng.uniform(-70, 70, (points, 2))
     cloud = similarity_of(values).apply(np.column_stack([xy, shape(*xy.T)]))
     cloud[:, 2] += eta_m * rng.normal(size=points) + dome_m * (1 - np.sum(xy**2, axis=1) / 60**2)
-    at = rng.uniform(-58, 58, (references, 2))
+    # Even, as a survey walks, with the site's rim: no long thin triangles.
+    across = int(np.ceil(np.sqrt(references)))
+    grid = np.stack(np.meshgrid(*[np.linspace(-58, 58, across)] * 2), axis=-1).reshape(-1, 2)
+    at = rng.permutation(grid + rng.uniform(-0.8, 0.8, grid.shape))[:references]
     reference = np.column_stack([at, shape(*at.T) + 0.005 * rng.normal(size=references)])
     bad = rng.random(references) < outliers
     reference[bad, 2] += rng.uniform(1.5, 5, int(bad.sum())) * rng.choice([-1, 1], int(bad.sum()))

@@ -25,7 +25,7 @@ def test_fifty_known_clouds_within_their_sigmas() -> None:
     """Bounds on both sides: neither larger errors than said, nor sigmas that are too careful."""
     z, z_eta, ratio = [], [], []
     for seed in range(50):
-        eta = 0.1 + 0.006 * seed
+        eta = 0.2 + 0.006 * seed
         case = made(seed, eta)
         found = _assessed(case)
         seven = found.registration.seven
@@ -51,7 +51,7 @@ def test_one_point_in_ten_wrong_changes_little_and_is_named() -> None:
         assert case.bad.sum() > 5
         assert found.registration.outlier[case.bad].all()
         assert found.registration.outlier[~case.bad].sum() <= 3
-        assert 0.09 < found.eta.eta_p_m < 0.12
+        assert 0.09 < found.eta.eta_p_m < 0.15
         assert any("too far off" in note for note in found.notes)
     assert 0.6 < np.sqrt(np.mean(np.square(z))) < 1.4
 

@@ -33,7 +33,8 @@ FEWEST_SURFACE, FEWEST_PICKED = 8, 3
 _LEVELS = (16.0, 8.0, 4.0, 2.0, 1.0)
 #: Shift that is looked for horizontally, m.
 _SEARCH_M = 15.0
-_ROUNDS = 15
+#: Rounds of the adjustment with coarse surfaces, which need not settle, and with the finest.
+_COARSE_ROUNDS, _ROUNDS = 3, 15
 _CELLS = 6
 #: A combination of the seven counts where at least this share of its slopes is relief and not noise.
 _RELIEF_SHARE = 0.5
@@ -100,12 +101,12 @@ def register(
     radii = [finest * k for k in _LEVELS if finest * k <= max(site / 6, finest)]
     for radius in radii[:-1]:
         sampler = coarse.thinned(radius)
-        values = _fit(values, reference, on, sampler, shift).values
+        values = _fit(values, reference, on, sampler, shift, _COARSE_ROUNDS).values
     fine = near_places(cloud, _moved_xy(values, reference) - shift[:2], 3 * finest + 0.5)
     if fine is None:
         raise InputError("No reference point lies over the cloud.")
     radius = radius_m or fine.natural_radius_m
-    found = _fit(values, reference, on, fine.thinned(radius), shift)
+    found = _fit(values, reference, on, fine.thinned(radius), shift, _ROUNDS)
     return _finished(found, reference, on, origin, radius)
 
 
@@ -162,7 +163,12 @@ def _bend(reference: FloatArray, on: BoolArray) -> FloatArray:
 
 
 def _fit(
-    values: FloatArray, reference: FloatArray, on: BoolArray, sampler: Sampler, shift: FloatArray
+    values: FloatArray,
+    reference: FloatArray,
+    on: BoolArray,
+    sampler: Sampler,
+    shift: FloatArray,
+    rounds: int,
 ) -> _Fit:
     """Gauss-Newton with outliers left out; slopes' own noise does not count as information."""
     bend = _bend(reference, on)
@@ -170,7 +176,7 @@ def _fit(
     sigmas = np.concatenate([PRIOR_SIGMAS, np.full(3, _BEND_SIGMA_M)])
     start = np.concatenate([NO_ERROR, np.zeros(3)])
     prior = np.outer(sigmas, sigmas)
-    for round_ in range(_ROUNDS):
+    for round_ in range(rounds):
         values = state[:7]
         heights = _shifted(sampler.heights(_moved_xy(values, reference) - shift[:2]), shift)
         residual, derivatives = _residuals(values, reference, heights)
@@ -213,7 +219,7 @@ def _finished(
 
     spent = float(np.trace(covariance(found.information) @ found.information))
     rest = found.straight[used]
-    factor = correlation(reference[used], rest - rest.mean())
+    factor = correlation(reference[used], rest - rest.mean(), len(found.prior_sigmas))
     variance = float(np.sum(rest**2)) / max(int(used.sum()) - spent, 1.0)
     # The information was weighed with the last round's variance; the prior is no observation of the points.
     left_open = covariance(found.information * found.variance / (variance * factor))[:7, :7]
@@ -230,10 +236,11 @@ def _finished(
     return Registration(seven, origin, residual, found.derivatives, used, outlier, determined, factor, radius)
 
 
-def correlation(places_m: FloatArray, residual_m: FloatArray) -> float:
+def correlation(places_m: FloatArray, residual_m: FloatArray, fitted: int) -> float:
     """How many times the variance of a mean is larger than for independent residuals (n,), at least 1.
 
-    Neighbours that share their error count as one: variances go by the cell of a grid over the site.
+    Neighbours that share their error count as one: variances go by the cell of a grid over the site. The
+    ``fitted`` parameters have taken as many cells' worth out of the residuals.
     """
     low, high = places_m[:, :2].min(axis=0), places_m[:, :2].max(axis=0)
     cell = np.minimum(
@@ -244,7 +251,9 @@ def correlation(places_m: FloatArray, residual_m: FloatArray) -> float:
     total = np.bincount(slot, residual_m, minlength=_CELLS**2)
     filled = count > 0
     variance = max(float(np.mean(residual_m**2)), 1e-300)
-    return max(1.0, float(np.mean(total[filled] ** 2 / count[filled])) / variance)
+    cells = int(filled.sum())
+    spent = cells / max(cells - fitted, 0.5 * cells)
+    return max(1.0, spent * float(np.mean(total[filled] ** 2 / count[filled])) / variance)
 
 
 def _finest(cloud: LoadedCloud, xy_m: FloatArray, radius_m: float | None) -> tuple[Heights, float]:

@@ -172,7 +172,7 @@ def assess_cloud(
         bowl = _bowl(reference[there], residual, registration, registration.derivatives[there], radius)
         if np.ptp(elevation) > _TREND_RELIEF * max(float(np.std(residual)), 1e-6):
             plain = elevation_trend(elevation, residual)
-            factor = correlation(reference[there], residual - residual.mean())
+            factor = correlation(reference[there], residual - residual.mean(), 2)
             trend = ElevationTrend(plain.slope, plain.sigma * float(np.sqrt(factor)), plain.correlation)
     step = max(1, len(some) // SHOWN_POINTS)
     shown = np.column_stack([some[::step, 2] + registration.origin[2], some[::step, 3]])
@@ -291,7 +291,7 @@ def _bowl(
     functional = inverse @ design.T
     found = functional @ residual
     rest = residual - design @ found
-    variance = float(rest @ rest) / max(len(rest) - 6, 1) * correlation(reference, rest)
+    variance = float(rest @ rest) / max(len(rest) - 6, 1) * correlation(reference, rest, 6)
     # What M7 leaves open of scale, azimuth and shift bends the residuals over curved ground.
     open_ = functional @ derivatives
     covariance = (variance * inverse + open_ @ registration.seven.covariance @ open_.T)[3:, 3:]

@@ -119,7 +119,7 @@ def load_cloud(
             total += len(good)
             held += len(part)
             kept.append(part)
-            if held > most:
+            while held > most:
                 # The count was not known beforehand; from here on half as many.
                 kept = [np.concatenate(kept)[::2]]
                 held, step = len(kept[0]), 2 * step
@@ -131,7 +131,7 @@ def load_cloud(
     if seen > total:
         notes.append(f"{seen - total} of {seen} points have no number for a coordinate and are left out.")
     if step > 1:
-        notes.append(f"The cloud has {total} points; every {step}th was used.")
+        notes.append(f"The cloud has {total} points; one in {step} was used.")
     joined = kept[0] if len(kept) == 1 else np.concatenate(kept)
     return LoadedCloud(cloud, origin, joined, total, seen - total, step, tuple(notes))
 
