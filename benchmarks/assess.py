@@ -131,8 +131,10 @@ def compare(command: str, work: Path) -> Peer:
     fitted = register(reference, loaded, np.ones(len(reference), bool))
     ours = fitted.seven.similarity.apply(reference - fitted.origin) + fitted.origin
     exact = similarity_of(VALUES).apply(reference)
-    gap = [float(np.abs(a - b).max()) for a, b in ((ours, theirs), (ours, exact), (theirs, exact))]
-    return Peer(*gap, *_distances(command, work, rng))
+    apart, our_gap, their_gap = (
+        float(np.abs(a - b).max()) for a, b in ((ours, theirs), (ours, exact), (theirs, exact))
+    )
+    return Peer(apart, our_gap, their_gap, *_distances(command, work, rng))
 
 
 def _distances(

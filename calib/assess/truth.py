@@ -68,7 +68,8 @@ def read_truth(path: Path, crs: CRS | None, cloud_crs: CRS | None) -> Truth:
     if crs == cloud_crs or crs.equals(cloud_crs, ignore_axis_order=True):
         return Truth(names, xyz)
     try:
-        moved = Transformer.from_crs(crs, cloud_crs, always_xy=True).transform(*xyz.T, errcheck=True)
+        x, y, z = xyz.T
+        moved = Transformer.from_crs(crs, cloud_crs, always_xy=True).transform(x, y, z, errcheck=True)
     except ProjError as error:
         raise InputError(
             f"The points of {path} cannot be carried from {crs.name} to {cloud_crs.name}: is --crs right?"
