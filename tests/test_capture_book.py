@@ -13,10 +13,13 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from calib.align.stream import Solve
 from calib.camera import FloatArray
+from calib.errors import AlignmentError
 from calib.frames import LocalFrame, rotation_cam_from_world
 from calib.photos.photo import CameraIdentity, GimbalAngles, Photo, Position
 from calib.photos.read import read_photo
+from daemon import flight as flight_module
 from daemon.capture.geotag import Geotag
 from daemon.capture.matching import Arrived, Matching, completed, parted
 from daemon.capture.recent import Recent
@@ -31,6 +34,7 @@ from daemon.session.rows import PhotoFile
 from daemon.session.store import Session
 from tests.photo_flights import bare_photo
 from tests.test_capture_geotag import exiftool, photo_file
+from tests.test_flight import Scene
 
 UTC_S = 1_780_000_000.0
 HOME = LocalFrame(47.0, 8.5, 430.0)
@@ -311,3 +315,21 @@ def test_tags_are_written_for_photos_without_position(kind: Kind, tmp_path: Path
                     place.longitude_deg, abs=1e-7
                 )
                 assert read_photo(target).position is not None
+
+
+def test_a_card_read_at_home_gets_the_places_of_the_flight(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """No link any more; what was recorded is enough."""
+    monkeypatch.setattr(flight_module.time, "sleep", lambda _: None)
+    with Session.create(tmp_path / "record") as session:
+        flown(session, tmp_path / "card")
+        home = Scene(tmp_path / "card", session)
+        home.run(6)
+        with pytest.raises(AlignmentError):
+            home.flight.conclude()
+        last = home.solver.requests[-1]
+        assert isinstance(last, Solve)
+        assert len(last.photos) == 12
+        assert all(photo.position is not None and photo.gimbal is not None for photo in last.photos)
+        assert "12 of 12 files are surely among them." in " ".join(home.said())

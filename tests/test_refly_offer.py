@@ -85,7 +85,7 @@ def bench(flavour: Flavour, check: FlownCheck, session: Session, north_deg: floa
             told.poll()
             return told.place is not None and told.launch is not None
 
-        until(known)
+        until(known, 120)
         yield Bench(told, server, find_pass(session, None, told.launch, told.flavour), session)
 
 
@@ -112,7 +112,7 @@ def test_a_vehicle_that_flies_is_waited_for(check: FlownCheck, session: Session)
     with bench("ardupilot", check, session) as here:
         pilot = here.server.vehicle.pilot
         assert pilot.arm(True)
-        until(lambda: here.told.poll() is None and here.told.flying)
+        until(lambda: here.told.poll() is None and here.told.flying, 120)
         assert not here.offer()
         assert here.asked == 0
         assert "does not hold" in here.said[0]

@@ -48,7 +48,7 @@ class Run:
         given = Options("v", folder, link=address, **options)  # type: ignore[arg-type]
         self.flight = Flight(session, given, self.solver, self.told.append, clock, self.link)  # type: ignore[arg-type]
 
-    def until(self, true: Callable[[], bool], seconds: float = 40.0) -> None:
+    def until(self, true: Callable[[], bool], seconds: float = 180.0) -> None:
         end = time.monotonic() + seconds
         while not true():
             assert time.monotonic() < end, "it took too long"
@@ -253,9 +253,9 @@ def test_kill_9_loses_no_trigger_that_was_recorded_and_doubles_none(tmp_path: Pa
     with photo_flight("ardupilot", folder) as flown:
         run = ("run", "--photos", folder, "--link", flown.proxy.url, "--no-live", "--quiet", "--idle", "0")
         with working(tmp_path, *run) as process:
-            wait_for(lambda: flown.server.vehicle.telemetry.rates_hz.get("ATTITUDE"))
+            wait_for(lambda: flown.server.vehicle.telemetry.rates_hz.get("ATTITUDE"), 180)
             flown.take_off(SPEED_UP)
-            wait_for(lambda: triggers() >= 4)
+            wait_for(lambda: triggers() >= 4, 180)
             os.kill(process.pid, signal.SIGKILL)
             process.wait(20)
             flown.server.speed_up = 0.02
@@ -264,10 +264,10 @@ def test_kill_9_loses_no_trigger_that_was_recorded_and_doubles_none(tmp_path: Pa
         with working(tmp_path, "run", "--resume", "--no-live", "--quiet", "--idle", "0"):
             log = the_session(tmp_path) / "link.tlog"
             size = log.stat().st_size
-            wait_for(lambda: log.stat().st_size > size + 3000)
+            wait_for(lambda: log.stat().st_size > size + 3000, 180)
             flown.server.speed_up = SPEED_UP
-            wait_for(lambda: flown.server.vehicle.done)
-            wait_for(lambda: sure() == triggers())
+            wait_for(lambda: flown.server.vehicle.done, 180)
+            wait_for(lambda: sure() == triggers(), 180)
         truth = {photo.index for photo in flown.server.vehicle.photos}
         with record() as session:
             told = [row.value.image_index for row in session.triggers()]
