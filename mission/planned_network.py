@@ -71,6 +71,7 @@ class PlannedNetwork:
     """A network with what belongs to it. ``functionals`` (1, m, 3): the dome.
 
     ``f_gradient`` (q,): d reported f / d free lens parameters. ``height_agl_m``: median of the photos.
+    ``beyond`` (q, q): covariance of what the lens model cannot follow and no photo takes away; None: nothing.
     """
 
     network: CameraNetwork
@@ -79,6 +80,7 @@ class PlannedNetwork:
     f_gradient: FloatArray
     height_agl_m: float
     assumptions: Assumptions
+    beyond: FloatArray | None = None
 
     def worth(self, head: FloatArray) -> tuple[float, float]:
         """Sigma f in percent and dome sigma in percent of the height, model error included.
@@ -86,16 +88,21 @@ class PlannedNetwork:
         ``head`` (q + 1, q + 1): covariance of free lens parameters and dome.
         """
         q = len(self.f_gradient)
-        factor = 100 * self.assumptions.model_error_factor
         lens, dome = head[:q, :q], head[q, :q]
         scale = 1 / np.sqrt(np.diag(lens))
         # Positive definite and called thousands of times: LAPACK's own solver, without the checks.
         _, scaled, info = scipy.linalg.lapack.dposv(lens * np.outer(scale, scale), dome * scale)
         if info:
             raise np.linalg.LinAlgError("the covariance of the lens is not positive definite")
-        by_lens = math.sqrt(max(float((dome * scale) @ scaled), 0.0))
-        f = math.sqrt(max(float(self.f_gradient @ lens @ self.f_gradient), 0.0))
-        return factor * f / self.network.lens.brown.f_px, factor * by_lens / self.height_agl_m
+        error = self.assumptions.model_error_factor**2
+        by_lens = error * float((dome * scale) @ scaled)
+        f = error * float(self.f_gradient @ lens @ self.f_gradient)
+        if self.beyond is not None:
+            gain = scaled * scale
+            by_lens += float(gain @ self.beyond @ gain)
+            f += float(self.f_gradient @ self.beyond @ self.f_gradient)
+        f, by_lens = math.sqrt(max(f, 0.0)), math.sqrt(max(by_lens, 0.0))
+        return 100 * f / self.network.lens.brown.f_px, 100 * by_lens / self.height_agl_m
 
 
 def poses(stations: Sequence[Station], attitude_scatter_deg: float = 0.0) -> tuple[FloatArray, FloatArray]:

@@ -10,7 +10,9 @@ import shapely
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from shapely import Polygon
 
+from calib.align.adjust import Priors
 from calib.align.selfcal import BASIC, mask
+from calib.align.uncertainty import beyond_field
 from calib.brownfit import fit_brown
 from calib.camera import FloatArray
 from calib.errors import InputError
@@ -169,4 +171,10 @@ def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
         attitude_sigma_deg=math.degrees(np.median(rotation)) if len(rotation) else _ATTITUDE_SIGMA_DEG,
         model_error_factor=MODEL_ERROR_FACTOR * min(lost, _MOST_LOST),
     )
-    return PlannedNetwork(flown.network, known, functionals, gradient[free], check.height_agl_m, assumptions)
+    net = flown.network
+    priors = Priors(
+        net.centres_m, known.centre_sigma_m, net.rotations, known.rotation_sigma_rad, lens.vector,
+        known.lens_sigma,
+    )  # fmt: skip
+    beyond = beyond_field(lens, free, priors)[np.ix_(free, free)]
+    return PlannedNetwork(net, known, functionals, gradient[free], check.height_agl_m, assumptions, beyond)
