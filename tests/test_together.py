@@ -44,7 +44,7 @@ def test_views_from_aside_are_matched_less_often() -> None:
     every = observe_together("a", [(0, SURVEY), (1, PASS)], phantom3(), 3, OPTIONS, EVERY_VIEW)
     some = observe_together("a", [(0, SURVEY), (1, PASS)], phantom3(), 3, OPTIONS, SIMULATED)
     k = len(SURVEY)
-    share = [np.sum((b.observations.photo >= k)) for b in (some, every)]
+    share = [np.sum(b.observations.photo >= k) for b in (some, every)]
     assert 0.4 < share[0] / share[1] < 0.95
     seen = every.true_pixels() - every.observations.pixels
     good = ~every.mismatched
