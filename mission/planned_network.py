@@ -88,21 +88,34 @@ class PlannedNetwork:
         ``head`` (q + 1, q + 1): covariance of free lens parameters and dome.
         """
         q = len(self.f_gradient)
-        lens, dome = head[:q, :q], head[q, :q]
-        scale = 1 / np.sqrt(np.diag(lens))
-        # Positive definite and called thousands of times: LAPACK's own solver, without the checks.
-        _, scaled, info = scipy.linalg.lapack.dposv(lens * np.outer(scale, scale), dome * scale)
-        if info:
-            raise np.linalg.LinAlgError("the covariance of the lens is not positive definite")
+        lens, gain = head[:q, :q], self._gain(head)
         error = self.assumptions.model_error_factor**2
-        by_lens = error * float((dome * scale) @ scaled)
+        by_lens = error * float(gain @ head[q, :q])
         f = error * float(self.f_gradient @ lens @ self.f_gradient)
         if self.beyond is not None:
-            gain = scaled * scale
             by_lens += float(gain @ self.beyond @ gain)
             f += float(self.f_gradient @ self.beyond @ self.f_gradient)
         f, by_lens = math.sqrt(max(f, 0.0)), math.sqrt(max(by_lens, 0.0))
         return 100 * f / self.network.lens.brown.f_px, 100 * by_lens / self.height_agl_m
+
+    def dome_beyond_percent(self, head: FloatArray) -> float:
+        """The part of the dome's sigma that comes from what the lens model cannot follow."""
+        if self.beyond is None:
+            return 0.0
+        gain = self._gain(head)
+        return 100 * math.sqrt(max(float(gain @ self.beyond @ gain), 0.0)) / self.height_agl_m
+
+    def _gain(self, head: FloatArray) -> FloatArray:
+        """d dome / d free lens parameters (q,), with the block re-adjusted around them."""
+        q = len(self.f_gradient)
+        lens = head[:q, :q]
+        scale = 1 / np.sqrt(np.diag(lens))
+        # Positive definite and called thousands of times: LAPACK's own solver, without the checks.
+        _, scaled, info = scipy.linalg.lapack.dposv(lens * np.outer(scale, scale), head[q, :q] * scale)
+        if info:
+            raise np.linalg.LinAlgError("the covariance of the lens is not positive definite")
+        found: FloatArray = scaled * scale
+        return found
 
 
 def poses(stations: Sequence[Station], attitude_scatter_deg: float = 0.0) -> tuple[FloatArray, FloatArray]:

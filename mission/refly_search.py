@@ -52,12 +52,14 @@ APART, APART_DEG = 0.18, 15.0
 class Worth:
     """What is known with a pass taken: f, dome in percent (model error included), and the lens's covariance.
 
-    ``lens`` (q, q) over the network's free parameters, model error included.
+    ``lens`` (q, q) over the network's free parameters, model error included. ``dome_beyond_percent``: the
+    part of the dome that the lens model cannot follow.
     """
 
     sigma_f_percent: float
     dome_percent: float
     lens: FloatArray
+    dome_beyond_percent: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -317,6 +319,10 @@ class PassSearch:
             candidates.detours.seconds(photos),
             check.ratio(range(len(dense))),
             oblique >= self.criterion.least_photos,
-            Worth(*planned.worth(with_all), factor**2 * with_all[:q, :q]),
+            Worth(
+                *planned.worth(with_all),
+                factor**2 * with_all[:q, :q],
+                planned.dome_beyond_percent(with_all),
+            ),
             next((shape for known, shape in self.shapes if known == photos), None),
         )

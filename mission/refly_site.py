@@ -11,6 +11,7 @@ from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from shapely import Polygon
 
 from calib.align.adjust import Priors
+from calib.align.georeference import DEFAULT_SIGMA_M
 from calib.align.selfcal import BASIC, mask
 from calib.align.uncertainty import beyond_field
 from calib.brownfit import fit_brown
@@ -153,7 +154,11 @@ def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
     lens = flown.network.lens
     # With more photos more parameters are significant: the pass has to serve all of them.
     free = mask((*BASIC, "k3", "p1", "p2", "b1", "b2"), field=True)
-    known = replace(flown.known, free=free)
+    # Precise positions that contradict the images are dropped, perhaps only when the pass is there to show
+    # it: the images have to do without them.
+    known = replace(
+        flown.known, free=free, centre_sigma_m=np.maximum(flown.known.centre_sigma_m, DEFAULT_SIGMA_M)
+    )
     functionals = dome_functional(flown.network.points_m)[None]
     gradient = fit_brown(lens)[1][0]
     same = lens_information(flown.network, flown.known).covariance
@@ -161,7 +166,7 @@ def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
     # What thinning and a rolling shutter's unknowns take away; it never adds.
     lost = max(check.sigma_f_formal_px / formal_px, 1.0)
     rotation = flown.known.rotation_sigma_rad[np.isfinite(flown.known.rotation_sigma_rad)]
-    position = flown.known.centre_sigma_m[np.isfinite(flown.known.centre_sigma_m)]
+    position = known.centre_sigma_m[np.isfinite(known.centre_sigma_m)]
     assumptions = Assumptions(
         noise_px=flown.noise_px,
         tie_points_per_photo=flown.tie_points_per_photo,
