@@ -11,14 +11,10 @@ points with noise, no images. Everything behind the tie points is the field chec
 from __future__ import annotations
 
 import argparse
-import contextlib
-import json
-import sys
-import time
 from collections.abc import Callable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from pathlib import Path
 
+from benchmarks.resumed import read_rows, run_rows
 from benchmarks.verdict_cases import case
 from benchmarks.verdict_report import write_report
 from benchmarks.verdict_score import Score, from_row, score, to_row
@@ -31,38 +27,14 @@ def _score_number(number: int) -> Score:
 
 
 def read_scores(raw: Path) -> dict[int, Score]:
-    """Flights already scored, by number; without a line cut short and those of another design."""
-    done: dict[int, Score] = {}
-    for line in raw.read_text().splitlines() if raw.exists() else []:
-        try:
-            one = from_row(json.loads(line))
-        except (json.JSONDecodeError, TypeError, KeyError):
-            continue
-        if one.case == case(one.case.number):
-            done[one.case.number] = one
-    return done
+    """Flights already scored, by number; without those of another design."""
+    rows = read_rows(raw, from_row)
+    return {one.case.number: one for one in rows if one.case == case(one.case.number)}
 
 
 def run(flights: int, raw: Path, workers: int, scored: Callable[[int], Score] = _score_number) -> list[Score]:
     """Scores of cases 0 to ``flights`` - 1, appended to ``raw`` (JSON lines) as they come."""
-    done = read_scores(raw)
-    todo = [number for number in range(flights) if number not in done]
-    started = time.monotonic()
-    if raw.exists() and not raw.read_bytes().endswith(b"\n") and raw.stat().st_size:
-        with raw.open("a") as out:
-            out.write("\n")
-    with contextlib.ExitStack() as stack:
-        out = stack.enter_context(raw.open("a"))
-        each = map if workers == 1 else stack.enter_context(ProcessPoolExecutor(workers)).map
-        for index, one in enumerate(each(scored, todo)):
-            out.write(json.dumps(to_row(one)) + "\n")
-            out.flush()
-            done[one.case.number] = one
-            left = (time.monotonic() - started) / (index + 1) * (len(todo) - index - 1)
-            print(f"\r{index + 1} of {len(todo)}, {left / 60:.0f} min left ", end="", file=sys.stderr)
-    if todo:
-        print(file=sys.stderr)
-    return [done[number] for number in range(flights)]
+    return run_rows(flights, raw, workers, scored, to_row, read_scores(raw))
 
 
 def show(number: int) -> None:

@@ -8,6 +8,7 @@ cases are of the papers' flights under ordinary conditions with a good reference
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -15,6 +16,8 @@ import numpy as np
 
 #: Of every ROUND cases the last OF_PAPERS are flights of [C&D]: 100 of each in a campaign of 2000.
 ROUND, OF_PAPERS = 5, 2
+#: Number of this campaign among those with such a design.
+CAMPAIGN = 2
 PAPERS = ("A1", "A2", "A3", "A4", "B1", "B2", "B3", "B4")
 
 #: Level -> weight, by factor.
@@ -106,7 +109,7 @@ def case(number: int) -> Case:
     if place >= ROUND - OF_PAPERS:
         return _of_the_papers(number, OF_PAPERS * round_ + place - (ROUND - OF_PAPERS))
     index = (ROUND - OF_PAPERS) * round_ + place
-    levels = {factor: _level(factor, index) for factor in FACTORS}
+    levels = {factor: level_of(FACTORS, factor, index) for factor in FACTORS}
     return Case(number, "design", **levels)
 
 
@@ -127,12 +130,16 @@ def _of_the_papers(number: int, index: int) -> Case:
     )
 
 
-def _level(factor: str, index: int) -> str:
-    deck = [name for name, weight in FACTORS[factor].items() for _ in range(weight)]
-    return deck[_shuffled(list(FACTORS).index(factor), index // len(deck), len(deck))[index % len(deck)]]
+def level_of(
+    factors: Mapping[str, Mapping[str, int]], factor: str, index: int, campaign: int = CAMPAIGN
+) -> str:
+    """The level of a factor in flight ``index`` of a campaign's design."""
+    deck = [name for name, weight in factors[factor].items() for _ in range(weight)]
+    order = _shuffled(campaign, list(factors).index(factor), index // len(deck), len(deck))
+    return deck[order[index % len(deck)]]
 
 
 @lru_cache(maxsize=256)
-def _shuffled(factor: int, round_: int, size: int) -> tuple[int, ...]:
-    order = np.random.default_rng([2, factor, round_]).permutation(size)
+def _shuffled(campaign: int, factor: int, round_: int, size: int) -> tuple[int, ...]:
+    order = np.random.default_rng([campaign, factor, round_]).permutation(size)
     return tuple(int(i) for i in order)

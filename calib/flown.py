@@ -62,7 +62,10 @@ def flown_network(block: Calibrated, correlation_factor: float) -> FlownNetwork:
     counts = np.bincount(obs.point[good], minlength=len(state.points_m))
     good &= counts[obs.point] >= 2
     priors = adjustment.priors
-    known = Known(priors.centre_sigma_m, priors.rotation_sigma_rad, priors.lens_sigma, adjusted.free)
+    known = Known(
+        priors.centre_sigma_m, priors.rotation_sigma_rad, priors.lens_sigma, adjusted.free,
+        priors.shutter_sigma_m,
+    )  # fmt: skip
     views = CameraNetwork(
         state.lens, state.rotations, state.centres_m, state.points_m, obs.photo[good], obs.point[good],
         np.full(int(good.sum()), noise),

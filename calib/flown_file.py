@@ -114,6 +114,8 @@ class _About(_Part):
     launch_up_m: FiniteFloat | None
     photos: tuple[str, ...]
     geotag_fault: str | None
+    #: Networks written before there was one have none.
+    shutter_sigma_m: Positive | None = None
 
 
 def flown_check(result: CheckResult) -> FlownCheck | None:
@@ -167,6 +169,7 @@ def network_bytes(check: FlownCheck) -> bytes:
         launch_up_m=check.launch_up_m,
         photos=tuple(printable(name) for name in check.photos),
         geotag_fault=None if check.geotag_fault is None else printable(check.geotag_fault),
+        shutter_sigma_m=known.shutter_sigma_m,
     )
     text = about.model_dump_json(by_alias=True)
     out = io.BytesIO()
@@ -256,6 +259,7 @@ def _made(arrays: dict[str, FloatArray], about: _About) -> FlownCheck:
         a["rotation_sigma_rad"].astype(float),
         a["lens_sigma"],
         a["free"].astype(bool),
+        about.shutter_sigma_m,
     )
     return FlownCheck(
         flown=FlownNetwork(network, known, about.noise_px, about.stands_for, about.matched_share),

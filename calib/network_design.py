@@ -29,23 +29,28 @@ class Known:
     """What is known besides the images, as standard deviations; infinite: nothing.
 
     centre_sigma_m (k, 3), rotation_sigma_rad (k,), lens_sigma (35,) over ``LENS_NAMES``; ``free``
-    (35,): lens parameters that are estimated.
+    (35,): lens parameters that are estimated. ``shutter_sigma_m``: way of each camera while its rows are
+    read, three more unknowns of a photo; None: global shutter.
     """
 
     centre_sigma_m: FloatArray
     rotation_sigma_rad: FloatArray
     lens_sigma: FloatArray
     free: BoolArray
+    shutter_sigma_m: float | None = None
+
+    @property
+    def per_photo(self) -> int:
+        """Unknowns of a photo: 6, or 9 with a rolling shutter."""
+        return 6 if self.shutter_sigma_m is None else 9
 
     @property
     def pose_information(self) -> FloatArray:
-        """(k, 6): rotation, then centre."""
-        return (
-            np.concatenate(
-                [np.repeat(self.rotation_sigma_rad[:, None], 3, axis=1), self.centre_sigma_m], axis=1
-            )
-            ** -2.0
-        )
+        """(k, 6 or 9): rotation, centre, way during the readout."""
+        parts = [np.repeat(self.rotation_sigma_rad[:, None], 3, axis=1), self.centre_sigma_m]
+        if self.shutter_sigma_m is not None:
+            parts.append(np.full((len(self.centre_sigma_m), 3), self.shutter_sigma_m))
+        return np.concatenate(parts, axis=1) ** -2.0
 
 
 @dataclass(frozen=True)
@@ -106,9 +111,9 @@ class LensInformation:
 
 @dataclass(frozen=True)
 class Reduced:
-    """Normal equations of the kept photos (6 each), the free lens and the functionals, points gone.
+    """Normal equations of the kept photos (p each), the free lens and the functionals, points gone.
 
-    ``matrix`` (6 kept + q + c) square, ``kept`` (photo indices in its order).
+    ``matrix`` (p kept + q + c) square, ``kept`` (photo indices in its order).
     """
 
     matrix: FloatArray
@@ -125,23 +130,33 @@ def inverse(matrix: FloatArray) -> FloatArray:
 
 
 def view_derivatives(
-    lens: Lens, rotations: FloatArray, centres_m: FloatArray, points_m: FloatArray, sigma_px: FloatArray
+    lens: Lens,
+    rotations: FloatArray,
+    centres_m: FloatArray,
+    points_m: FloatArray,
+    sigma_px: FloatArray,
+    *,
+    shutter: bool = False,
 ) -> tuple[FloatArray, FloatArray, FloatArray]:
-    """d pixels / d pose (n, 2, 6), lens (n, 2, 35), point (n, 2, 3), in sigmas; all inputs (n, ...).
+    """d pixels / d pose (n, 2, 6 or 9), lens (n, 2, 35), point (n, 2, 3), in sigmas; all inputs (n, ...).
 
-    Pose: rotation vector applied on the camera's side, then centre, as in ``calib.align.adjust``.
+    Pose: rotation vector applied on the camera's side, then centre, with ``shutter`` then the way while the
+    rows are read, as in ``calib.align.adjust``.
     """
     in_cam = np.einsum("nij,nj->ni", rotations, points_m - centres_m)
     inv_z = 1 / in_cam[:, 2]
     rays = in_cam[:, :2] * inv_z[:, None]
-    _, by_ray, by_lens = lens.derivatives(rays)
+    pixels, by_ray, by_lens = lens.derivatives(rays)
     root = 1 / sigma_px
     by_cam = np.empty((len(rays), 2, 3))
     by_cam[:, :, :2] = by_ray * inv_z[:, None, None]
     by_cam[:, :, 2] = -np.einsum("nij,nj->ni", by_ray, rays) * inv_z[:, None]
     by_cam *= root[:, None, None]
     by_point = by_cam @ rotations
-    by_pose = np.concatenate([np.cross(in_cam[:, None, :], by_cam), -by_point], axis=2)
+    parts = [np.cross(in_cam[:, None, :], by_cam), -by_point]
+    if shutter:
+        parts.append(-by_point * (pixels[:, 1] / lens.brown.height - 0.5)[:, None, None])
+    by_pose = np.concatenate(parts, axis=2)
     return by_pose, by_lens * root[:, None, None], by_point
 
 
@@ -204,7 +219,7 @@ class _Sweep:
 
     def __init__(self, network: CameraNetwork, known: Known, g: FloatArray, kept: IntArray) -> None:
         self.network, self.known, self.g, self.kept = network, known, g, kept
-        self.prior = known.pose_information
+        self.prior, self.each = known.pose_information, known.per_photo
         self.border = int(known.free.sum()) + len(g)
         self.abreast: IntArray = np.zeros(0, np.intp)
         self.front = np.zeros((self.border, self.border))
@@ -243,7 +258,7 @@ class _Sweep:
         """Photos join the front with their priors."""
         if not len(photos):
             return
-        old, new = 6 * len(self.abreast), 6 * len(photos)
+        old, new = self.each * len(self.abreast), self.each * len(photos)
         size = len(self.front) + new
         front = np.zeros((size, size))
         # Four slices: several times faster than one index.
@@ -274,40 +289,42 @@ class _Sweep:
             net.centres_m[photo],
             net.points_m[net.point[rows]],
             net.sigma_px[rows],
+            shutter=self.known.shutter_sigma_m is not None,
         )
         by_lens = by_lens[:, :, self.known.free]
-        q, a, p = by_lens.shape[2], len(self.abreast), len(points)
+        q, p, each = by_lens.shape[2], len(points), self.each
+        poses = each * len(self.abreast)
         blocks = np.concatenate([by_pose, by_lens, by_point], axis=2)
         ends = np.concatenate([[0], np.cumsum(lengths)[:-1]])
         v = np.add.reduceat(by_point.transpose(0, 2, 1) @ by_point, ends, axis=0)
         root = point_roots(v)
         w_xl = np.add.reduceat(by_point.transpose(0, 2, 1) @ by_lens, ends, axis=0)
-        # Everything that meets a point, times the inverse root of its matrix: (6 a + border, 3 p).
-        meets = np.zeros((6 * a + self.border, p, 3))
+        # Everything that meets a point, times the inverse root of its matrix: (poses + border, 3 p).
+        meets = np.zeros((poses + self.border, p, 3))
         w_cx = by_pose.transpose(0, 2, 1) @ by_point @ root.transpose(0, 2, 1)[column]
-        meets[6 * slot[:, None] + np.arange(6), column[:, None]] = w_cx
-        meets[6 * a : 6 * a + q] = (root @ w_xl).transpose(2, 0, 1)
-        meets[6 * a + q :] = np.einsum("pij,cpj->cpi", root, self.g[:, points])
+        meets[each * slot[:, None] + np.arange(each), column[:, None]] = w_cx
+        meets[poses : poses + q] = (root @ w_xl).transpose(2, 0, 1)
+        meets[poses + q :] = np.einsum("pij,cpj->cpi", root, self.g[:, points])
         flat = meets.reshape(len(meets), 3 * p)
         self.front -= flat @ flat.T
         by_slot = np.argsort(slot, kind="stable")
         present, first = np.unique(slot[by_slot], return_index=True)
-        own = blocks[by_slot, :, :6].transpose(0, 2, 1) @ blocks[by_slot, :, : 6 + q]
+        own = blocks[by_slot, :, :each].transpose(0, 2, 1) @ blocks[by_slot, :, : each + q]
         own = np.add.reduceat(own, first, axis=0)
-        at = 6 * present[:, None] + np.arange(6)
-        self.front[at[:, :, None], at[:, None, :]] += own[:, :, :6]
-        lens = 6 * a + np.arange(q)
-        self.front[at[:, :, None], lens] += own[:, :, 6:]
-        self.front[lens[None, :, None], at[:, None, :]] += own[:, :, 6:].transpose(0, 2, 1)
+        at = each * present[:, None] + np.arange(each)
+        self.front[at[:, :, None], at[:, None, :]] += own[:, :, :each]
+        lens = poses + np.arange(q)
+        self.front[at[:, :, None], lens] += own[:, :, each:]
+        self.front[lens[None, :, None], at[:, None, :]] += own[:, :, each:].transpose(0, 2, 1)
         flat_lens = by_lens.reshape(-1, q)
-        self.front[6 * a : 6 * a + q, 6 * a : 6 * a + q] += flat_lens.T @ flat_lens
+        self.front[poses : poses + q, poses : poses + q] += flat_lens.T @ flat_lens
 
     def eliminate(self, photos: IntArray) -> None:
         """Remove photos of the front (Schur complement)."""
         if not len(photos):
             return
         going = np.isin(self.abreast, photos)
-        out = np.concatenate([np.repeat(going, 6), np.zeros(self.border, bool)])
+        out = np.concatenate([np.repeat(going, self.each), np.zeros(self.border, bool)])
         inner = self.front[np.ix_(out, out)]
         scale = 1 / np.sqrt(np.diag(inner))
         factor = scipy.linalg.cholesky(inner * np.outer(scale, scale), lower=True, overwrite_a=True)

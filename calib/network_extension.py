@@ -91,7 +91,7 @@ def joint_covariance(
     kept = np.unique(network.photo[chosen[network.point]])
     reduced = reduce_network(network, known, functionals, kept)
     q, c = reduced.n_lens, len(functionals)
-    n = 6 * len(reduced.kept) + q
+    n = known.per_photo * len(reduced.kept) + q
     s = reduced.matrix
     meets, inverse_root = _points_in(network, known, points, reduced.kept)
     # Given poses and lens: point = -V^-1 W (poses, lens) + its own noise, functional = gain likewise.
@@ -116,7 +116,7 @@ def joint_covariance(
 def _points_in(
     network: CameraNetwork, known: Known, points: IntArray, kept: IntArray
 ) -> tuple[FloatArray, FloatArray]:
-    """V^-1/2 W (m, 3, 6 kept + q) and V^-1/2 (m, 3, 3) of the chosen points."""
+    """V^-1/2 W (m, 3, p kept + q) and V^-1/2 (m, 3, 3) of the chosen points."""
     place = np.full(len(network.points_m), -1)
     place[points] = np.arange(len(points))
     rows = np.flatnonzero(place[network.point] >= 0)
@@ -127,17 +127,18 @@ def _points_in(
         network.centres_m[photo],
         network.points_m[network.point[rows]],
         network.sigma_px[rows],
+        shutter=known.shutter_sigma_m is not None,
     )
+    each = known.per_photo
     slot = np.full(len(network.centres_m), -1)
     slot[kept] = np.arange(len(kept))
     turned = by_point.transpose(0, 2, 1)
     v = np.zeros((len(points), 3, 3))
     np.add.at(v, column, turned @ by_point)
-    w = np.zeros((len(points), 3, 6 * len(kept) + int(known.free.sum())))
-    w[column[:, None, None], np.arange(3)[:, None], (6 * slot[photo][:, None] + np.arange(6))[:, None, :]] = (
-        turned @ by_pose
-    )
-    lens = w[:, :, 6 * len(kept) :]
+    w = np.zeros((len(points), 3, each * len(kept) + int(known.free.sum())))
+    place_of_pose = (each * slot[photo][:, None] + np.arange(each))[:, None, :]
+    w[column[:, None, None], np.arange(3)[:, None], place_of_pose] = turned @ by_pose
+    lens = w[:, :, each * len(kept) :]
     np.add.at(lens, column, turned @ by_lens[:, :, known.free])
     root = point_roots(v)
     return root @ w, root
@@ -165,17 +166,20 @@ def photo_rows(
         np.broadcast_to(centre_m, (n, 3)),
         joint.points_m[points],
         sigma_px,
+        shutter=known.shutter_sigma_m is not None,
     )
+    prior = [*pose_sigma] if known.shutter_sigma_m is None else [*pose_sigma, known.shutter_sigma_m]
+    each = known.per_photo
     q, first = joint.n_lens, joint.n_lens + joint.n_functionals
-    unknowns = np.zeros((2 * n + 6, q + 3 * n))
+    unknowns = np.zeros((2 * n + each, q + 3 * n))
     unknowns[: 2 * n, :q] = by_lens[:, :, known.free].reshape(2 * n, q)
     row = np.arange(2 * n)
     for axis in range(3):
         unknowns[row, q + 3 * (row // 2) + axis] = by_point[:, :, axis].ravel()
-    pose = np.zeros((2 * n + 6, 6))
-    pose[: 2 * n] = by_pose.reshape(2 * n, 6)
-    pose[2 * n :] = np.diag(1 / np.repeat(pose_sigma, 3))
-    rest = np.linalg.qr(pose / np.linalg.norm(pose, axis=0), mode="complete")[0][:, 6:]
+    pose = np.zeros((2 * n + each, each))
+    pose[: 2 * n] = by_pose.reshape(2 * n, each)
+    pose[2 * n :] = np.diag(1 / np.repeat(prior, 3))
+    rest = np.linalg.qr(pose / np.linalg.norm(pose, axis=0), mode="complete")[0][:, each:]
     columns = np.concatenate([np.arange(q), (first + 3 * points[:, None] + np.arange(3)).ravel()])
     return PhotoRows(rest.T @ unknowns, columns)
 

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib.camera import FloatArray
 from calib.network_extension import Joint, PhotoPool, PhotoRows, joint_covariance, photo_rows
-from calib.network_views import angle_to_views_deg, seen_points, view_table
+from calib.network_views import angle_to_views_deg, nearest_view_deg, seen_points, view_table
 from calib.solution import IntArray
 from mission.plan import Station, Vehicle, looking_inwards
 from mission.planned_network import PlannedNetwork, poses
@@ -21,6 +21,9 @@ MOST_POINTS, CHECK_POINTS, LEAST_POINTS = 16, 36, 8
 WINDOW_POINTS = 260
 #: Around each of several places.
 WINDOW_POINTS_EACH = 140
+#: Oblique photos reach that far, in flying heights, and tie the site together; an even part of the points
+#: there has as many.
+REACH, EVEN_POINTS = 2.5, 240
 #: Tilts off nadir, heights over the survey's, and numbers of photos of the rings tried.
 TILTS_DEG = (20.0, 30.0, 40.0)
 HEIGHT_FACTORS = (1.0, 1.3)
@@ -39,14 +42,19 @@ class Candidates:
         gaps: Sequence[Gap],
         feasible: Callable[[Station], bool] | None,
         most_points: int = MOST_POINTS,
+        even: bool = False,
     ) -> None:
+        """``even``: an even part of all points within reach, instead of the nearest ones."""
         self.planned, self.vehicle, self.most_points = planned, vehicle, most_points
         self.feasible = feasible or (lambda _: True)
         net = planned.network
         away = np.linalg.norm(net.points_m[:, None, :2] - middles_m, axis=2)
         each = WINDOW_POINTS if len(middles_m) == 1 else WINDOW_POINTS_EACH
-        nearest = np.argsort(away, axis=0, kind="stable")[:each].ravel()
-        near = np.unique(nearest[away[nearest].min(axis=1) < 2.5 * planned.height_agl_m])
+        nearest = np.argsort(away, axis=0, kind="stable")[: len(away) if even else each].ravel()
+        near = np.unique(nearest[away[nearest].min(axis=1) < REACH * planned.height_agl_m])
+        #: Points of the network for each one that is used.
+        self.stands_for = max(len(near) / EVEN_POINTS, 1.0) if even else 1.0
+        near = near[np.linspace(0, len(near) - 1, round(len(near) / self.stands_for)).astype(int)]
         self.joint: Joint = joint_covariance(net, planned.known, planned.functionals, near)
         place = np.full(len(net.points_m), -1)
         place[near] = np.arange(len(near))
@@ -84,11 +92,16 @@ class Candidates:
         return [self._index.get(s) for s in stations]
 
     def dense_pool(self, photos: Sequence[int]) -> PhotoPool:
-        """The same photos with more of the points that they see: what the search is checked with."""
-        rows = self._rows([self.stations[i] for i in photos], most_points=CHECK_POINTS)
+        """The same photos with more of the points that they see: what the search is checked with.
+
+        They are matched among each other, too.
+        """
+        rows = self._rows([self.stations[i] for i in photos], CHECK_POINTS, together=True)
         return PhotoPool(self.joint, [r for r in rows if r is not None])
 
-    def _rows(self, stations: Sequence[Station], most_points: int | None = None) -> list[PhotoRows | None]:
+    def _rows(
+        self, stations: Sequence[Station], most_points: int | None = None, together: bool = False
+    ) -> list[PhotoRows | None]:
         if not stations:
             return []
         most = most_points or self.most_points
@@ -101,6 +114,8 @@ class Candidates:
         ray = centres[photo] - joint.points_m[point]
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
         angle = angle_to_views_deg(ray, point, self._views)
+        if together:
+            angle = np.minimum(angle, nearest_view_deg(photo, point, centres, joint.points_m))
         share = given.matching.share(angle)
         used = share > 0.02
         photo, point, share = photo[used], point[used], share[used]
@@ -116,7 +131,7 @@ class Candidates:
                 # Every n-th of an even sequence is even again.
                 part: IntArray = mine[np.linspace(0, len(mine) - 1, most).astype(int)]
                 weight, mine = float(share[mine].sum() / share[part].sum()), part
-            sigma = given.sigma_px / np.sqrt(weight * share[mine])
+            sigma = given.sigma_px / np.sqrt(self.stands_for * weight * share[mine])
             found.append(
                 photo_rows(
                     joint, planned.network.lens, planned.known, rotations[i], centres[i], point[mine], sigma,

@@ -7,6 +7,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+import scipy.linalg
 import shapely
 from scipy.spatial import cKDTree
 from shapely import Polygon
@@ -70,6 +71,7 @@ class PlannedNetwork:
     """A network with what belongs to it. ``functionals`` (1, m, 3): the dome.
 
     ``f_gradient`` (q,): d reported f / d free lens parameters. ``height_agl_m``: median of the photos.
+    ``beyond`` (q, q): covariance of what the lens model cannot follow and no photo takes away; None: nothing.
     """
 
     network: CameraNetwork
@@ -78,6 +80,7 @@ class PlannedNetwork:
     f_gradient: FloatArray
     height_agl_m: float
     assumptions: Assumptions
+    beyond: FloatArray | None = None
 
     def worth(self, head: FloatArray) -> tuple[float, float]:
         """Sigma f in percent and dome sigma in percent of the height, model error included.
@@ -85,10 +88,35 @@ class PlannedNetwork:
         ``head`` (q + 1, q + 1): covariance of free lens parameters and dome.
         """
         q = len(self.f_gradient)
-        factor = 100 * self.assumptions.model_error_factor
-        f = math.sqrt(max(float(self.f_gradient @ head[:q, :q] @ self.f_gradient), 0.0))
-        dome = math.sqrt(max(float(head[q, q]), 0.0))
-        return factor * f / self.network.lens.brown.f_px, factor * dome / self.height_agl_m
+        lens = head[:q, :q]
+        error = self.assumptions.model_error_factor**2
+        dome = error * float(head[q, q])
+        f = error * float(self.f_gradient @ lens @ self.f_gradient)
+        if self.beyond is not None:
+            gain = self._gain(head)
+            dome += float(gain @ self.beyond @ gain)
+            f += float(self.f_gradient @ self.beyond @ self.f_gradient)
+        f, dome = math.sqrt(max(f, 0.0)), math.sqrt(max(dome, 0.0))
+        return 100 * f / self.network.lens.brown.f_px, 100 * dome / self.height_agl_m
+
+    def dome_beyond_percent(self, head: FloatArray) -> float:
+        """The part of the dome's sigma that comes from what the lens model cannot follow."""
+        if self.beyond is None:
+            return 0.0
+        gain = self._gain(head)
+        return 100 * math.sqrt(max(float(gain @ self.beyond @ gain), 0.0)) / self.height_agl_m
+
+    def _gain(self, head: FloatArray) -> FloatArray:
+        """d dome / d free lens parameters (q,), with the block re-adjusted around them."""
+        q = len(self.f_gradient)
+        lens = head[:q, :q]
+        scale = 1 / np.sqrt(np.diag(lens))
+        # Positive definite and called thousands of times: LAPACK's own solver, without the checks.
+        _, scaled, info = scipy.linalg.lapack.dposv(lens * np.outer(scale, scale), head[q, :q] * scale)
+        if info:
+            raise np.linalg.LinAlgError("the covariance of the lens is not positive definite")
+        found: FloatArray = scaled * scale
+        return found
 
 
 def poses(stations: Sequence[Station], attitude_scatter_deg: float = 0.0) -> tuple[FloatArray, FloatArray]:

@@ -96,7 +96,7 @@ def refly(flown: FlownSite) -> Refly:
     """The shortest pass that cures the block of ``flown`` inside its site's limits."""
     check, site, planned = flown.check, flown.site, flown.planned
     criterion = criterion_for(planned)
-    return_m = _return_height_m(flown)
+    return_m = return_height_of(flown)
     search = PassSearch(planned, site, return_m, _most_s(site), criterion)
     strong = is_strong(search, criterion)
     why = why_no_pass(check, strong)
@@ -152,7 +152,8 @@ def pass_plan(found: Found, site: Site, return_m: float) -> Plan:
     return replace(plan, waypoints=(*plan.waypoints, *way_home(site, plan.waypoints[-1])))
 
 
-def _return_height_m(flown: FlownSite) -> float:
+def return_height_of(flown: FlownSite) -> float:
+    """Height above launch at which a pass comes home."""
     middle = place_of_pass(flown.planned)
     ground = flown.site.ground_m(float(middle[0]), float(middle[1]))
     round_it = circle(middle, ground, flown.check.height_agl_m, 40.0, 8).stations

@@ -39,6 +39,9 @@ from mission.site import Site
 
 #: The search thins each photo's points; a pass that fails with all of them is searched again, stricter.
 _ROUNDS = 4
+#: Of the fewest convergent photos that the check asks for, so many may fail: at 5 % each, two of four do so
+#: once in seventy flights, three of five once in eight hundred.
+SPARE_PHOTOS = 2
 #: Passes of more photos are not polished: one photo more or less hardly shows in them.
 MANY_PHOTOS = 14
 #: Least distance, in flying heights, between photos whose axes differ by less than this.
@@ -49,12 +52,14 @@ APART, APART_DEG = 0.18, 15.0
 class Worth:
     """What is known with a pass taken: f, dome in percent (model error included), and the lens's covariance.
 
-    ``lens`` (q, q) over the network's free parameters, model error included.
+    ``lens`` (q, q) over the network's free parameters, model error included. ``dome_beyond_percent``: the
+    part of the dome that the lens model cannot follow.
     """
 
     sigma_f_percent: float
     dome_percent: float
     lens: FloatArray
+    dome_beyond_percent: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -85,13 +90,13 @@ class Found:
 
 
 def criterion_for(planned: PlannedNetwork) -> Criterion:
-    """Limits of f and dome, and as many photos that the check counts enough oblique ones with one missing."""
+    """Limits of f and dome, and so many photos that the check counts enough oblique ones with two missing."""
     axis = planned.network.rotations[:, 2, :]
     tilt = np.degrees(np.arccos(np.clip(-axis[:, 2], -1, 1)))
     oblique = int((tilt >= CONVERGENT_DEG).sum())
     if 100 * oblique >= CONVERGENT_LIMIT_PERCENT * (len(tilt) + LEAST_CONVERGENT):
         return Criterion()
-    return Criterion(least_photos=max(LEAST_CONVERGENT - oblique, 0) + 1)
+    return Criterion(least_photos=max(LEAST_CONVERGENT - oblique, 0) + SPARE_PHOTOS)
 
 
 def place_of_pass(planned: PlannedNetwork) -> FloatArray:
@@ -155,7 +160,7 @@ class PassSearch:
 
         gaps = [Gap(np.zeros(3), np.zeros(3), 0)]
         self.candidates = Candidates(
-            planned, self.middle_m, site.vehicle, gaps, lambda s: counts(s) and allowed(s)
+            planned, self.middle_m[None], site.vehicle, gaps, lambda s: counts(s) and allowed(s), even=True
         )
         self.candidates.detours = PassDetours(site.vehicle, return_height_m)
         #: Seconds of the shortest cure that :meth:`best` found, however long; None: none.
@@ -314,6 +319,10 @@ class PassSearch:
             candidates.detours.seconds(photos),
             check.ratio(range(len(dense))),
             oblique >= self.criterion.least_photos,
-            Worth(*planned.worth(with_all), factor**2 * with_all[:q, :q]),
+            Worth(
+                *planned.worth(with_all),
+                factor**2 * with_all[:q, :q],
+                planned.dome_beyond_percent(with_all),
+            ),
             next((shape for known, shape in self.shapes if known == photos), None),
         )

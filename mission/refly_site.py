@@ -10,7 +10,10 @@ import shapely
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
 from shapely import Polygon
 
+from calib.align.adjust import Priors
+from calib.align.georeference import DEFAULT_SIGMA_M
 from calib.align.selfcal import BASIC, mask
+from calib.align.uncertainty import beyond_field
 from calib.brownfit import fit_brown
 from calib.camera import FloatArray
 from calib.errors import InputError
@@ -151,7 +154,11 @@ def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
     lens = flown.network.lens
     # With more photos more parameters are significant: the pass has to serve all of them.
     free = mask((*BASIC, "k3", "p1", "p2", "b1", "b2"), field=True)
-    known = replace(flown.known, free=free)
+    # Precise positions that contradict the images are dropped, perhaps only when the pass is there to show
+    # it: the images have to do without them.
+    known = replace(
+        flown.known, free=free, centre_sigma_m=np.maximum(flown.known.centre_sigma_m, DEFAULT_SIGMA_M)
+    )
     functionals = dome_functional(flown.network.points_m)[None]
     gradient = fit_brown(lens)[1][0]
     same = lens_information(flown.network, flown.known).covariance
@@ -159,7 +166,7 @@ def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
     # What thinning and a rolling shutter's unknowns take away; it never adds.
     lost = max(check.sigma_f_formal_px / formal_px, 1.0)
     rotation = flown.known.rotation_sigma_rad[np.isfinite(flown.known.rotation_sigma_rad)]
-    position = flown.known.centre_sigma_m[np.isfinite(flown.known.centre_sigma_m)]
+    position = known.centre_sigma_m[np.isfinite(known.centre_sigma_m)]
     assumptions = Assumptions(
         noise_px=flown.noise_px,
         tie_points_per_photo=flown.tie_points_per_photo,
@@ -169,4 +176,10 @@ def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
         attitude_sigma_deg=math.degrees(np.median(rotation)) if len(rotation) else _ATTITUDE_SIGMA_DEG,
         model_error_factor=MODEL_ERROR_FACTOR * min(lost, _MOST_LOST),
     )
-    return PlannedNetwork(flown.network, known, functionals, gradient[free], check.height_agl_m, assumptions)
+    net = flown.network
+    priors = Priors(
+        net.centres_m, known.centre_sigma_m, net.rotations, known.rotation_sigma_rad, lens.vector,
+        known.lens_sigma,
+    )  # fmt: skip
+    beyond = beyond_field(lens, free, priors)[np.ix_(free, free)]
+    return PlannedNetwork(net, known, functionals, gradient[free], check.height_agl_m, assumptions, beyond)

@@ -5,6 +5,7 @@ from __future__ import annotations
 from calib.findings import State, Verdict
 from calib.flown_file import FlownCheck
 from calib.limits import percent
+from mission.optimise import DOME_SIGMA_PERCENT
 from mission.plan import Station
 from mission.refly_search import Found
 from mission.timing import minutes
@@ -14,6 +15,9 @@ WALL = (
     "pairs of photos that meet on it at 45 degrees from either side, check them on their own and keep them "
     "with --save-reference; then check the survey against that reference."
 )
+
+#: Share of the limit from which what no lens model follows is what keeps a pass from curing.
+LENS_SHARE = 0.8
 
 
 def metres(value: float) -> str:
@@ -114,6 +118,13 @@ def cautions(check: FlownCheck) -> tuple[str, ...]:
 
 def short_of(found: Found, tie_points: float, noise_px: float) -> str:
     """Why the best pass does not do where no limit forbids a better one."""
+    if found.worth.dome_beyond_percent > LENS_SHARE * DOME_SIGMA_PERCENT:
+        return (
+            "Not a limit but the lens: it bends rays in a way that no lens model follows, and over a site "
+            "this wide for its height that alone leaves room for a dome of "
+            f"{percent(found.worth.dome_beyond_percent)} of the height (1 sigma), whatever is flown. Fly the "
+            "survey again from higher up, or in parts."
+        )
     return (
         f"Not a limit but the survey itself: with {tie_points:.0f} tie points a photo, measured to "
         f"{noise_px:.1f} px, even {len(found.stations)} more photos leave {found.ratio:.1f} times what is "

@@ -91,7 +91,7 @@ class SimBlock:
 
     def true_pixels(self) -> FloatArray:
         """Where the observations would be without noise and mismatches, (n, 2)."""
-        return _seen(self, self.observations.photo, self.points_m[self.observations.point])
+        return seen(self, self.observations.photo, self.points_m[self.observations.point])
 
 
 def no_pattern(pixels: FloatArray) -> FloatArray:
@@ -123,6 +123,72 @@ def survey(
 def observe(name: str, flight: Flight, camera: BrownCamera, seed: int, options: SimOptions) -> SimBlock:
     """What ``camera`` measures on ``flight`` over random ground."""
     rng = np.random.default_rng([seed, 4])
+    ground = draw_ground(rng, options)
+    truth = truth_of(name, flight, camera, seed, options, ground, rng.normal(size=(2, len(flight), 3)))
+    point, photo = candidates(truth, np.cos(np.radians(options.max_incidence_deg)))
+    kept = rng.random(len(point)) < options.match_share
+    point, photo = point[kept], photo[kept]
+    pixels = seen(truth, photo, truth.points_m[point])
+    size = np.array([camera.width, camera.height], dtype=float)
+    inside = np.all((pixels >= 0) & (pixels <= size), axis=-1)
+    inside &= (np.bincount(point[inside], minlength=len(truth.points_m)) >= 2)[point]
+    point, photo, pixels = point[inside], photo[inside], pixels[inside]
+
+    n = len(point)
+    noisy = pixels + options.noise_px * rng.normal(size=(n, 2))
+    if options.correlated_px > 0:
+        noisy += options.correlated_px * smooth_noise(rng, len(flight), photo, pixels / camera.width)
+    mismatched = rng.random(n) < options.mismatch_rate
+    noisy[mismatched] = np.clip((noisy + blunders_px(rng.random((2, n)), camera.width))[mismatched], 0, size)
+    return measured(truth, photo, point, noisy, mismatched, options.noise_px)
+
+
+def blunders_px(unit: FloatArray, width: int) -> FloatArray:
+    """Shifts (n, 2) of mismatches, up to 40 px at 4000 px image width, from uniform numbers (2, n)."""
+    reach, angle = 40 * np.sqrt(unit[0]) * width / 4000, 2 * np.pi * unit[1]
+    return np.stack([reach * np.cos(angle), reach * np.sin(angle)], axis=-1)
+
+
+def measured(
+    truth: SimBlock,
+    photo: NDArray[np.intp],
+    point: NDArray[np.intp],
+    pixels: FloatArray,
+    mismatched: NDArray[np.bool_],
+    noise_px: float,
+) -> SimBlock:
+    """The survey with what was seen (n, sorted by point); ground points without views are dropped."""
+    used, renumbered = np.unique(point, return_inverse=True)
+    sigma = np.full(len(point), noise_px if noise_px > 0 else 0.5)
+    return replace(
+        truth,
+        points_m=truth.points_m[used],
+        observations=Observations(photo, renumbered, pixels, sigma),
+        mismatched=mismatched,
+    )
+
+
+def draw_ground(rng: np.random.Generator, options: SimOptions) -> FloatArray:
+    """Places (n_points, 2) over the site and its margin."""
+    half = options.site_m / 2 + options.margin_m
+    return rng.uniform(-half, half, (options.n_points, 2))
+
+
+def truth_of(
+    name: str,
+    flight: Flight,
+    camera: BrownCamera,
+    seed: int,
+    options: SimOptions,
+    ground: FloatArray,
+    normals: FloatArray,
+) -> SimBlock:
+    """A survey before anything is seen in its photos.
+
+    Args:
+        ground: places (m, 2) of its points.
+        normals: standard normal numbers (2, k, 3), of the gimbal's and of the receiver's errors.
+    """
     k = len(flight)
     camera = replace(camera, b1_px=camera.b1_px + options.aspect * camera.f_px)
     pattern: Callable[[FloatArray], FloatArray] = no_pattern
@@ -130,57 +196,28 @@ def observe(name: str, flight: Flight, camera: BrownCamera, seed: int, options: 
         pattern_seed = seed if options.pattern_seed is None else options.pattern_seed
         largest = options.pattern_px * camera.width / 4000
         pattern = random_pattern(pattern_seed, camera, largest, options.pattern_shortest)
-    half = options.site_m / 2 + options.margin_m
-    ground = rng.uniform(-half, half, (options.n_points, 2))
     relief = Relief.random(seed, options.relief_m)
-    points = np.column_stack([ground, relief.height_m(ground[:, 0], ground[:, 1])])
+    turns = small_rotation(np.radians(options.gimbal_sigma_deg) * normals[0])
     nothing = Observations(np.zeros(0, int), np.zeros(0, int), np.zeros((0, 2)), np.zeros(0))
-    turns = small_rotation(np.radians(options.gimbal_sigma_deg) * rng.normal(size=(k, 3)))
-    truth = SimBlock(
+    return SimBlock(
         name=name,
         lens=Lens(camera),
         pattern=pattern,
         rotations_cam_from_world=flight.rotations_cam_from_world,
         centres_m=flight.centres_m,
-        points_m=points,
+        points_m=np.column_stack([ground, relief.height_m(ground[:, 0], ground[:, 1])]),
         observations=nothing,
         mismatched=np.zeros(0, bool),
-        gps_m=flight.centres_m + options.gps_sigma_m * rng.normal(size=(k, 3)),
+        gps_m=flight.centres_m + options.gps_sigma_m * normals[1],
         gps_sigma_m=np.full((k, 3), options.gps_sigma_m),
         gimbal_cam_from_world=turns @ flight.rotations_cam_from_world,
         gimbal_sigma_deg=options.gimbal_sigma_deg,
         velocity_m_s=options.speed_m_s * flight.track,
         readout_s=options.readout_s,
     )
-    point, photo = _candidates(truth, np.cos(np.radians(options.max_incidence_deg)))
-    kept = rng.random(len(point)) < options.match_share
-    point, photo = point[kept], photo[kept]
-    pixels = _seen(truth, photo, points[point])
-    size = np.array([camera.width, camera.height], dtype=float)
-    inside = np.all((pixels >= 0) & (pixels <= size), axis=-1)
-    inside &= (np.bincount(point[inside], minlength=len(points)) >= 2)[point]
-    point, photo, pixels = point[inside], photo[inside], pixels[inside]
-
-    n = len(point)
-    noisy = pixels + options.noise_px * rng.normal(size=(n, 2))
-    if options.correlated_px > 0:
-        noisy += options.correlated_px * smooth_noise(rng, k, photo, pixels / camera.width)
-    mismatched = rng.random(n) < options.mismatch_rate
-    reach = 40 * np.sqrt(rng.random(n)) * camera.width / 4000
-    angle = rng.uniform(0, 2 * np.pi, n)
-    blunder = np.stack([reach * np.cos(angle), reach * np.sin(angle)], axis=-1)
-    noisy[mismatched] = np.clip((noisy + blunder)[mismatched], 0, size)
-    used, renumbered = np.unique(point, return_inverse=True)
-    sigma = np.full(n, options.noise_px if options.noise_px > 0 else 0.5)
-    return replace(
-        truth,
-        points_m=points[used],
-        observations=Observations(photo, renumbered, noisy, sigma),
-        mismatched=mismatched,
-    )
 
 
-def _candidates(block: SimBlock, least_cosine: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+def candidates(block: SimBlock, least_cosine: float) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Point and photo of the views that can fall into the image, sorted by point."""
     camera = block.lens.brown
     corners = np.array([[0, 0], [0, 1], [1, 0], [1, 1], [0.5, 0], [0, 0.5], [1, 0.5], [0.5, 1]])
@@ -196,7 +233,7 @@ def _candidates(block: SimBlock, least_cosine: float) -> tuple[NDArray[np.intp],
     return point, photo
 
 
-def _seen(block: SimBlock, photo: NDArray[np.intp], points_m: FloatArray) -> FloatArray:
+def seen(block: SimBlock, photo: NDArray[np.intp], points_m: FloatArray) -> FloatArray:
     """Exact pixels (n, 2) of ``points_m`` (n, 3) in ``photo`` (n,)."""
     rotations = block.rotations_cam_from_world[photo]
     at_middle = np.einsum("nij,nj->ni", rotations, points_m - block.centres_m[photo])

@@ -20,7 +20,7 @@ from sim.photo_writer import level_gimbal
 from sim.solve import calibrate_block
 
 #: Where simulated surveys lie; heights are above the ground.
-_FRAME = LocalFrame(50.831, -0.142)
+FRAME = LocalFrame(50.831, -0.142)
 #: Receivers better than this state their accuracy in the file, others do not.
 _STATED_BELOW_M = 1.0
 
@@ -35,7 +35,7 @@ def identity_of(
 
 def photos_of(block: SimBlock, camera: CameraIdentity) -> tuple[Photo, ...]:
     """The k photos of a block with the positions and gimbal angles that the vehicle measured."""
-    geodetic = _FRAME.geodetic(block.gps_m)
+    geodetic = FRAME.geodetic(block.gps_m)
     photos = []
     for i, (latitude, longitude, altitude) in enumerate(geodetic.tolist()):
         east, _, up = block.gps_sigma_m[i].tolist()

@@ -43,7 +43,12 @@ def network_of(block: SimBlock) -> CameraNetwork:
     )
 
 
-def known_of(k: int, free: BoolArray | None = None, field_sigma_px: float = 0.5) -> Known:
+def known_of(
+    k: int,
+    free: BoolArray | None = None,
+    field_sigma_px: float = 0.5,
+    shutter_sigma_m: float | None = None,
+) -> Known:
     sigma = np.full(len(LENS_NAMES), np.inf)
     sigma[-24:] = field_sigma_px
     return Known(
@@ -51,18 +56,28 @@ def known_of(k: int, free: BoolArray | None = None, field_sigma_px: float = 0.5)
         np.full(k, POSE_SIGMA[0]),
         sigma,
         brown_and_field() if free is None else free,
+        shutter_sigma_m,
     )
 
 
-@pytest.mark.parametrize("name", ["A1", "A3", "A4", "crosshatch"])
-def test_covariance_is_the_adjustments(name: str) -> None:
+@pytest.mark.parametrize(
+    ("name", "shutter_sigma_m"),
+    [("A1", None), ("A3", None), ("A4", None), ("crosshatch", None), ("A3", 0.2)],
+)
+def test_covariance_is_the_adjustments(name: str, shutter_sigma_m: float | None) -> None:
     block = small(name, 1, 250, noise_px=1e-9)
     block = replace(
         block, observations=replace(block.observations, sigma_px=np.full(len(block.observations), 0.5))
     )
-    priors = replace(gps_priors(block), centres_m=block.centres_m, lens_mean=block.lens.vector)
+    priors = replace(
+        gps_priors(block),
+        centres_m=block.centres_m,
+        lens_mean=block.lens.vector,
+        shutter_sigma_m=shutter_sigma_m,
+    )
     adjusted = block_adjustment(block, priors).run(truth_of(block), brown_and_field(), response=True)
-    known = replace(known_of(len(block.centres_m)), rotation_sigma_rad=np.full(len(block.centres_m), np.inf))
+    k = len(block.centres_m)
+    known = replace(known_of(k, shutter_sigma_m=shutter_sigma_m), rotation_sigma_rad=np.full(k, np.inf))
     found = lens_information(network_of(block), known, dome_functional(block.points_m)[None])
     scale = 1 / np.sqrt(np.diag(adjusted.lens_normal))
     reference = inverse(adjusted.lens_normal)
@@ -97,7 +112,9 @@ def test_dome_functional_is_the_domes_amplitude() -> None:
 # -- adding and removing photos -----------------------------------------------------------------
 
 
-def _split(seed: int, extra: int) -> tuple[CameraNetwork, CameraNetwork, Joint, list[PhotoRows]]:
+def _split(
+    seed: int, extra: int, shutter_sigma_m: float | None = None
+) -> tuple[CameraNetwork, CameraNetwork, Joint, list[PhotoRows]]:
     """A3 with and without its oblique photos, and those as rows."""
     block = small("A3", seed, 120)
     seen = block.observations
@@ -120,7 +137,7 @@ def _split(seed: int, extra: int) -> tuple[CameraNetwork, CameraNetwork, Joint, 
 
     bare, full = network(32), network(32 + extra)
     g = dome_functional(points)[None]
-    joint = joint_covariance(bare, known_of(32), g, np.arange(len(points)))
+    joint = joint_covariance(bare, known_of(32, shutter_sigma_m=shutter_sigma_m), g, np.arange(len(points)))
     rows = []
     for i in range(32, 32 + extra):
         mine = kept & (seen.photo == i)
@@ -128,7 +145,7 @@ def _split(seed: int, extra: int) -> tuple[CameraNetwork, CameraNetwork, Joint, 
             photo_rows(
                 joint,
                 block.lens,
-                known_of(1),
+                known_of(1, shutter_sigma_m=shutter_sigma_m),
                 block.rotations_cam_from_world[i],
                 block.centres_m[i],
                 number[seen.point[mine]],
@@ -139,19 +156,18 @@ def _split(seed: int, extra: int) -> tuple[CameraNetwork, CameraNetwork, Joint, 
     return bare, full, joint, rows
 
 
-def _head(network: CameraNetwork) -> tuple[FloatArray, LensInformation]:
-    info = lens_information(
-        network, known_of(len(network.centres_m)), dome_functional(network.points_m)[None]
-    )
+def _head(network: CameraNetwork, shutter_sigma_m: float | None = None) -> tuple[FloatArray, LensInformation]:
+    known = known_of(len(network.centres_m), shutter_sigma_m=shutter_sigma_m)
+    info = lens_information(network, known, dome_functional(network.points_m)[None])
     return inverse(info.normal), info
 
 
 @settings(max_examples=6, deadline=None)
-@given(seed=st.integers(0, 50), extra=st.integers(1, 4))
-def test_adding_photos_is_starting_over(seed: int, extra: int) -> None:
-    bare, full, joint, rows = _split(seed, extra)
+@given(seed=st.integers(0, 50), extra=st.integers(1, 4), shutter_sigma_m=st.sampled_from([None, 0.2]))
+def test_adding_photos_is_starting_over(seed: int, extra: int, shutter_sigma_m: float | None) -> None:
+    bare, full, joint, rows = _split(seed, extra, shutter_sigma_m)
     q = joint.n_lens
-    before, info = _head(bare)
+    before, info = _head(bare, shutter_sigma_m)
     assert np.diag(joint.head)[:q] == pytest.approx(np.diag(before), rel=1e-6)
     assert joint.head[q, q] == pytest.approx(
         float(info.functional_sigma[0] ** 2 + info.given_lens[0, 0]), rel=1e-6
@@ -161,7 +177,7 @@ def test_adding_photos_is_starting_over(seed: int, extra: int) -> None:
         quick = added.head_with(one)
         added = added.with_photo(one)
         assert quick == pytest.approx(added.head, rel=1e-6, abs=1e-9 * float(np.abs(quick).max()))
-    after, info = _head(full)
+    after, info = _head(full, shutter_sigma_m)
     assert np.diag(added.head)[:q] == pytest.approx(np.diag(after), rel=1e-6)
     assert added.head[q, q] == pytest.approx(
         float(info.functional_sigma[0] ** 2 + info.given_lens[0, 0]), rel=1e-6

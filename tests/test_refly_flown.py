@@ -52,7 +52,7 @@ def test_the_pass_is_short_and_promises_a_cure(flown: dict[str, Any]) -> None:
     assert found["schema"] == "fieldcal.refly/1"
     assert found["cures"]
     assert found["binding_limit"] is None
-    assert 4 <= found["photos"] == len(found["stations"]) <= 12
+    assert 5 <= found["photos"] == len(found["stations"]) <= 12
     assert 30 < found["duration_s"] < 240
     assert found["before"]["sigma_f_percent"] > 0.1
     assert 0.001 < found["after"]["sigma_f_percent"] < 0.03
