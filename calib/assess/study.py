@@ -122,11 +122,8 @@ class CloudAssessment:
         """What each of the seven amounts to at the edge of the site, metres (7,)."""
         values = self.registration.seven.values
         turns = np.radians(values[3:6])
-        return np.abs(
-            np.concatenate(
-                [values[:3], self.site_radius_m * turns, [self.site_radius_m * (values[6] / 100 - 1)]]
-            )
-        )
+        scaled = self.site_radius_m * (values[6] / 100 - 1)
+        return np.asarray(np.abs(np.concatenate([values[:3], self.site_radius_m * turns, [scaled]])))
 
 
 def assess_cloud(

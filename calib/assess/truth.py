@@ -68,7 +68,9 @@ def read_truth(path: Path, crs: CRS | None, cloud_crs: CRS | None) -> Truth:
     if crs == cloud_crs or crs.equals(cloud_crs, ignore_axis_order=True):
         return Truth(names, xyz)
     try:
-        moved = Transformer.from_crs(crs, cloud_crs, always_xy=True).transform(*xyz.T, errcheck=True)
+        moved = Transformer.from_crs(crs, cloud_crs, always_xy=True).transform(
+            xyz[:, 0], xyz[:, 1], xyz[:, 2], errcheck=True
+        )
     except ProjError as error:
         raise InputError(
             f"The points of {path} cannot be carried from {crs.name} to {cloud_crs.name}: is --crs right?"

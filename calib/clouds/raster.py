@@ -35,7 +35,7 @@ def chunks(cloud: CloudFile, size: int) -> Iterator[FloatArray]:
     with _errors(cloud.path), rasterio.open(cloud.path) as source:
         rows = max(1, size // source.width)
         for top in range(0, source.height, rows):
-            window = Window(0, top, source.width, min(rows, source.height - top))  # type: ignore[no-untyped-call]
+            window = Window(0, top, source.width, min(rows, source.height - top))
             heights = source.read(1, window=window, masked=True).astype(float)
             row, column = np.nonzero(~np.ma.getmaskarray(heights))
             to_map, u, v = source.transform, column + 0.5, row + top + 0.5
