@@ -19,8 +19,8 @@ EPSG = 32630
 
 
 def ground_m(x: FloatArray, y: FloatArray) -> FloatArray:
-    """Gentle hills, so that straight lines between points five metres apart miss a centimetre."""
-    height: FloatArray = 2.5 * np.sin(x / 30) + 2 * np.cos(y / 32 + x / 60) + 0.02 * x
+    """Hills with more than one crest across the site, or a dome could not be told from a shift."""
+    height: FloatArray = 4 * np.sin(x / 22) + 3 * np.cos(y / 17 + x / 40) + 0.02 * x
     return height
 
 

@@ -10,34 +10,44 @@ import pytest
 from pyproj import Transformer
 
 from calib.assess.data import AssessmentReport
+from calib.assess.model import Surface
 from calib.assess.register import register
 from calib.assess.study import CloudAssessment, assess_cloud
 from calib.errors import InputError
 from daemon import cli
-from tests.cloud_cases import EPSG, OFFSET, Case, made, write_las, write_points
+from tests.cloud_cases import EPSG, OFFSET, Case, ground_m, made, write_las, write_points
 
 
 def _assessed(case: Case) -> CloudAssessment:
     return assess_cloud(case.cloud, case.truth)
 
 
+def _between_m(case: Case) -> float:
+    """Standard deviation of the ground about the surface between the reference points."""
+    at = np.random.default_rng(0).uniform(-58, 58, (20_000, 2))
+    height = Surface(case.truth.xyz_m - OFFSET).height_m(at)
+    return float(np.nanstd(ground_m(*at.T) - height))
+
+
 def test_fifty_known_clouds_within_their_sigmas() -> None:
     """Bounds on both sides: neither larger errors than said, nor sigmas that are too careful."""
     z, z_eta, ratio = [], [], []
     for seed in range(50):
-        eta = 0.2 + 0.006 * seed
+        eta = 0.05 + 0.002 * seed
         case = made(seed, eta)
         found = _assessed(case)
         seven = found.registration.seven
         assert found.registration.determined.all()
         z.append((seven.values - case.about(found.registration.origin)) / seven.sigmas)
-        z_eta.append((found.eta.eta_p_m - eta) / found.eta.sigma_m)
-        ratio.append(found.eta.eta_p_m / eta)
+        # The reference points do not show all of the relief between them; that is part of eta.
+        expected = float(np.hypot(eta, _between_m(case)))
+        z_eta.append((found.eta.eta_p_m - expected) / found.eta.sigma_m)
+        ratio.append(found.eta.eta_p_m / expected)
     rms = np.sqrt(np.mean(np.square(z), axis=0))
     assert 0.8 < np.sqrt(np.mean(np.square(z))) < 1.2
     assert np.all((rms > 0.65) & (rms < 1.4))
     assert np.abs(z).max() < 4.5
-    assert 0.97 < min(ratio) < max(ratio) < 1.03
+    assert 0.96 < min(ratio) < max(ratio) < 1.04
     assert 0.6 < np.sqrt(np.mean(np.square(z_eta))) < 1.6
 
 
@@ -174,7 +184,7 @@ def test_points_in_degrees_are_carried_over(
     assert _run(files, tmp_path, "--crs", str(EPSG), "--quiet") == 0
     two = json.loads((tmp_path / "assessment.json").read_text())
     for name, value in one["seven"].items():
-        assert value["value"] == pytest.approx(two["seven"][name]["value"], abs=0.01)
+        assert value["value"] == pytest.approx(two["seven"][name]["value"], abs=0.02)
     capsys.readouterr()
 
 

@@ -130,8 +130,8 @@ def _provenance(made: CloudAssessment) -> str:
         ),
         (
             "Left by the registration",
-            f"{quantity(registration.seven.residual_mean_m, None, 'm', 2)} ± "
-            f"{quantity(registration.seven.residual_std_m, None, 'm', 2)} (mean and deviation, vertical)",
+            f"{registration.seven.residual_mean_m:.3f} ± {registration.seven.residual_std_m:.3f} m "
+            "(mean and deviation, vertical)",
         ),
         ("Neighbours share errors", f"variances times {registration.correlation:.2f}"),
         ("Points under eta_p", f"{made.eta.points}; {made.eta.outside} lie beyond the reference points"),

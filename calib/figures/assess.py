@@ -13,7 +13,7 @@ from calib.wording import html_text
 _COLOURS = (FLIGHT, REFERENCE, "#00592b", "#6a3d9a", "#7a4d00")
 _DASHES = ("solid", "dash", "dot", "dashdot", "longdash")
 #: Share of the cells, or points, that may lie beyond the end of the scale.
-_BEYOND_PERCENT = 99.0
+_BEYOND_PERCENT = 96.0
 _MOST_NAMES = 1500
 
 
@@ -125,7 +125,7 @@ def elevation_figure(made: CloudAssessment) -> go.Figure:
     elevation, residual = made.truth.xyz_m[there, 2], registration.residual_m[there]
     factor, unit, reach = _scale(made.shown[:, 1])
     figure = go.Figure()
-    figure.add_scattergl(
+    figure.add_scatter(
         x=float32(made.shown[:, 0]),
         y=float32(made.shown[:, 1] * factor),
         mode="markers",
