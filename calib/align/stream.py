@@ -122,9 +122,11 @@ class Stream:
             self._aligner, self._held = Aligner(self._settings, self._progress, self._memory), []
         held = set(map(id_of, self._held))
         new = [photo for photo in job.photos if id_of(photo) not in held]
-        # What a solution that was called off has added stays added.
-        self._held += new
-        self._aligner.add_all(new)
+        # What a solution that was called off has added stays added, and only that counts as held.
+        self.read(new)
+        for photo in new:
+            self._aligner.add(photo)
+            self._held.append(photo)
         return self._aligner
 
 
