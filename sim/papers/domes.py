@@ -79,15 +79,21 @@ def _verdict(page: Section, flown: Flown) -> None:
             f"{np.median(gathered(nadir, model, 'sigma0') / gathered(nadir, 'plain', 'sigma0')):.2f} times."
         )
     page.say("**What simulation says.**", *said)
-    page.say(
+    held = np.abs(gathered(nadir, "line, f held", "dome"))
+    gained = np.median(held[large]) < 0.7 * np.median(before[large])
+    repair = (
         "So the repair with f held takes off domes that are larger than what 2 px of profile can bend, and "
-        "puts a dome of that size where there was less; with f free, f runs after the missing K3 and little "
-        "is gained. A pair on the line is equal to the wall's lens within 2 px, not "
-        "equal. It leaves larger residuals, which the paper saw as noise. Fixing the wall's true "
-        "calibration does neither with us, for our camera did not change between wall and flight; that it "
-        "raised noise in the paper suggests that theirs did. The advice stays theirs: do not repair, fly "
-        "more "
-        "convergent photos."
+        "puts a dome of that size where there was less"
+        if gained
+        else "So the repair puts a dome of the size that 2 px of profile can bend where there was less, and "
+        "takes nothing off the largest of ours, which are hardly larger than that (theirs were)"
+    )
+    page.say(
+        f"{repair}; with f free, f runs after the missing K3 and little is gained. A pair on the line is "
+        "equal to the wall's lens within 2 px, not equal. It leaves larger residuals, which the paper saw as "
+        "noise. Fixing the wall's true calibration does neither with us, for our camera did not change between wall "
+        "and flight; that it raised noise in the paper suggests that theirs did. The advice stays theirs: do "
+        "not repair, fly more convergent photos."
     )
 
 
