@@ -98,6 +98,11 @@ class LoopScore:
         return self.before.verdict == "REFLY" and bool(GEOMETRY & set(self.before.flagged))
 
 
+#: The recommended pass, the papers' photos, an orbit.
+Passes = tuple[Flown | None, Flown | None, Flown | None]
+NONE_FLOWN: Passes = (None, None, None)
+
+
 def score(case: LoopCase) -> LoopScore:
     """Fly, check, and where the geometry is at fault fly the pass and check again."""
     started = time.process_time()
@@ -107,12 +112,13 @@ def score(case: LoopCase) -> LoopScore:
     before, result = checked(block, case.number, held)
     photos, height = len(block.centres_m), float(np.median(block.centres_m[:, 2]))
 
-    def scored(
-        reason: str, found: Sequence[Flown | None] = (None, None, None), refly_s: float = 0.0
-    ) -> LoopScore:
+    def scored(reason: str, passes: Passes = NONE_FLOWN, refly_s: float = 0.0) -> LoopScore:
+        offered, paper, orbit = passes
         tie_points = len(block.observations) / photos
         cpu_s = time.process_time() - started
-        return LoopScore(case, photos, height, tie_points, before, reason, *found, refly_s, cpu_s)
+        return LoopScore(
+            case, photos, height, tie_points, before, reason, offered, paper, orbit, refly_s, cpu_s
+        )
 
     known = None if result is None else flown_check(result)
     if known is None or known.origin_wgs84 is None:
@@ -226,8 +232,8 @@ def from_row(row: dict[str, Any]) -> LoopScore:
     if case != loop_case(case.number):
         raise KeyError(case.number)
     before = _checked_of(content.pop("before"))
-    passes = {name: _flown_of(content.pop(name)) for name in ("offered", "paper", "orbit")}
-    return LoopScore(case=case, before=before, **passes, **content)
+    offered, paper, orbit = (_flown_of(content.pop(name)) for name in ("offered", "paper", "orbit"))
+    return LoopScore(case=case, before=before, offered=offered, paper=paper, orbit=orbit, **content)
 
 
 def _checked_of(row: dict[str, Any]) -> Checked:
