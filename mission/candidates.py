@@ -116,7 +116,7 @@ class Candidates:
         angle = angle_to_views_deg(ray, point, self._views)
         if together:
             angle = np.minimum(angle, nearest_view_deg(photo, point, centres, joint.points_m))
-        share = given.matching.share(angle)
+        share = given.matching.share(angle) / planned.own_share
         used = share > 0.02
         photo, point, share = photo[used], point[used], share[used]
         found: list[PhotoRows | None] = []

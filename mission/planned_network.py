@@ -72,6 +72,8 @@ class PlannedNetwork:
 
     ``f_gradient`` (q,): d reported f / d free lens parameters. ``height_agl_m``: median of the photos.
     ``beyond`` (q, q): covariance of what the lens model cannot follow and no photo takes away; None: nothing.
+    ``own_share``: share of their views that the network's own photos match at the angles between them, where
+    ``assumptions.tie_points_per_photo`` counts what they really matched.
     """
 
     network: CameraNetwork
@@ -81,6 +83,7 @@ class PlannedNetwork:
     height_agl_m: float
     assumptions: Assumptions
     beyond: FloatArray | None = None
+    own_share: float = 1.0
 
     def worth(self, head: FloatArray) -> tuple[float, float]:
         """Sigma f in percent and dome sigma in percent of the height, model error included.

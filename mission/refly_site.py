@@ -21,7 +21,7 @@ from calib.flown import FlownNetwork
 from calib.flown_file import FlownCheck
 from calib.frames import LocalFrame
 from calib.network_design import dome_functional, lens_information
-from calib.network_views import SIMULATED
+from calib.network_views import SIMULATED, nearest_view_deg
 from mission.planned_network import MODEL_ERROR_FACTOR, Assumptions, PlannedNetwork
 from mission.site import Site
 from mission.site_build import site_of, terrain_of
@@ -182,4 +182,9 @@ def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
         known.lens_sigma,
     )  # fmt: skip
     beyond = beyond_field(lens, free, priors)[np.ix_(free, free)]
-    return PlannedNetwork(net, known, functionals, gradient[free], check.height_agl_m, assumptions, beyond)
+    # The flight's own tie points are those matched at its own angles already.
+    angles = nearest_view_deg(net.photo, net.point, net.centres_m, net.points_m)
+    own_share = max(float(np.mean(SIMULATED.share(angles))), flown.matched_share)
+    return PlannedNetwork(
+        net, known, functionals, gradient[free], check.height_agl_m, assumptions, beyond, own_share
+    )
