@@ -84,9 +84,11 @@ class Evidence:
     largest_tilt_deg: float | None = None
     heights_agl_m: tuple[float, ...] = ()
 
-    #: Signed, percent of the flying height; the amplitude needs a reference, the sigma does not.
+    #: Signed, percent of the flying height; the amplitude needs a reference, and its sigma holds that of the
+    #: reference. What the photos alone leave open (1 sigma) needs none.
     dome_percent: float | None = None
     sigma_dome_percent: float | None = None
+    dome_left_open_percent: float | None = None
     #: None as well where the block has no scale in metres.
     dome_m: float | None = None
 
@@ -167,6 +169,7 @@ def gather_evidence(
         heights_agl_m=network.heights_agl_m,
         dome_percent=None if dome is None else dome.amplitude_percent,
         sigma_dome_percent=None if dome is None or not height > 0 else 100 * dome.sigma_m / height,
+        dome_left_open_percent=None if dome is None or not height > 0 else 100 * dome.left_open_m / height,
         dome_m=None if dome is None or not solution.georeference.metric else dome.amplitude_m,
         split_f_px=_finite(estimate.split_f_px),
         split_sigma_f_px=_finite(estimate.split_sigma_f_px),

@@ -138,7 +138,7 @@ def flown_check(result: CheckResult) -> FlownCheck | None:
         brown=result.estimate.brown,
         brown_covariance=result.estimate.covariance,
         sigma_f_formal_px=result.estimate.sigma_f_formal_px,
-        dome_sigma_m=result.dome.sigma_m,
+        dome_sigma_m=result.dome.left_open_m,
         height_agl_m=result.dome.flying_height_m,
         origin_wgs84=georeference.origin_wgs84 if georeference.metric else None,
         launch_up_m=float(np.median(above)) if above and georeference.metric else None,

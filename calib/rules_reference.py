@@ -145,12 +145,12 @@ def opposite_signs(e: Evidence) -> Finding:
 
 
 def predicted_dome(e: Evidence) -> Finding:
-    def finding(state: State, message: str) -> Finding:
+    def finding(state: State, message: str, sigma: float | None) -> Finding:
         return Finding(
             "predicted-dome",
             state,
             e.dome_percent,
-            e.sigma_dome_percent,
+            sigma,
             "% H",
             DOME_LIMIT_PERCENT,
             f"{CD}, conclusion",
@@ -159,7 +159,7 @@ def predicted_dome(e: Evidence) -> Finding:
 
     sigma = e.sigma_dome_percent
     if sigma is None or not math.isfinite(sigma):
-        return finding(State.UNKNOWN, "A dome or dish in the heights could not be predicted.")
+        return finding(State.UNKNOWN, "A dome or dish in the heights could not be predicted.", sigma)
     if e.dome_percent is not None and reference_decides(e):
         state = decide(e.dome_percent, sigma, DOME_LIMIT_PERCENT)
         limit = f"the limit of {DOME_LIMIT_PERCENT:g} %"
@@ -174,16 +174,20 @@ def predicted_dome(e: Evidence) -> Finding:
             State.FLAG: f": {severity(e.dome_percent, DOME_LIMIT_PERCENT)} {limit}.",
             State.UNKNOWN: f", known to {percent(Z95 * sigma)} only: too uncertain to tell.",
         }[state]
-        return finding(state, text + ending)
-    room = percent(Z95 * sigma)
-    if Z95 * sigma <= DOME_LIMIT_PERCENT:
+        return finding(state, text + ending, sigma)
+    # A reference that does not decide takes no part, nor does its sigma.
+    left_open = sigma if e.dome_left_open_percent is None else e.dome_left_open_percent
+    room = percent(Z95 * left_open)
+    if Z95 * left_open <= DOME_LIMIT_PERCENT:
         return finding(
             State.PASS,
             f"The photos leave room for a dome or dish of no more than {room} of the height (95 %).",
+            left_open,
         )
     return finding(
         State.UNKNOWN,
         f"The photos leave room for a dome or dish of {room} of the height; none can be excluded.",
+        left_open,
     )
 
 

@@ -149,12 +149,14 @@ class Dome:
 
     ``amplitude_m``: signed, positive when the middle of the site comes out too high (dome),
     negative for a dish; free solution minus solution held at the reference, after a
-    seven-parameter alignment. None without a reference. ``sigma_m``: what the network leaves
-    open, from the inflated covariance. ``grid_*``: (g,), (g,), (g, g) map of the difference.
+    seven-parameter alignment. None without a reference. ``sigma_m``: of it, from the inflated covariances of
+    the photos and of the reference; ``left_open_m``: what the photos alone leave open.
+    ``grid_*``: (g,), (g,), (g, g) map of the difference.
     """
 
     amplitude_m: float | None
     sigma_m: float
+    left_open_m: float
     flying_height_m: float
     site_radius_m: float
     grid_east_m: FloatArray | None = None

@@ -181,10 +181,10 @@ def _dome(amplitude_m: float | None) -> Dome:
     axis = np.linspace(-70, 70, 41)
     east, north = np.meshgrid(axis, axis)
     if amplitude_m is None:
-        return Dome(None, 0.04, 60.0, 70.0)
+        return Dome(None, 0.04, 0.04, 60.0, 70.0)
     shape = 0.5 - (east**2 + north**2) / 70**2
     shape[np.hypot(east, north) > 72] = np.nan
-    return Dome(amplitude_m, 0.015, 60.0, 70.0, axis, axis, amplitude_m * shape)
+    return Dome(amplitude_m, 0.015, 0.015, 60.0, 70.0, axis, axis, amplitude_m * shape)
 
 
 def findings(verdict: Verdict) -> tuple[Finding, ...]:

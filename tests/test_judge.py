@@ -102,6 +102,16 @@ def of_table_3(name: str) -> Evidence:
     )
 
 
+def test_the_sigma_of_a_loose_reference_says_nothing_of_the_photos():
+    """Another body's calibration: f known to half a percent, which would leave room for any dome."""
+    loose = {"sigma_f_ref_px": 0.005 * P3P_WALL_F_PX, "sigma_dome_percent": 2.0}
+    assert states(evidence(**loose))["predicted-dome"] is State.UNKNOWN
+    alone = evidence(**loose, dome_left_open_percent=0.01)
+    assert states(alone)["predicted-dome"] is State.PASS
+    assert judge(alone)[0] is Verdict.TRUST
+    assert states(evidence(**loose, dome_left_open_percent=0.2))["predicted-dome"] is State.UNKNOWN
+
+
 def test_a_strong_flight_at_its_reference_is_trusted_and_every_rule_is_listed():
     verdict, headline, findings = judge(evidence())
     assert verdict is Verdict.TRUST

@@ -74,17 +74,19 @@ def predict_dome(
     heights = _tangent_rest(points, adjusted.point_response)
     gain = np.zeros(len(LENS_NAMES))
     gain[adjusted.free] = dome_amplitude_m(points, heights)
+    alone = float(gain @ lens_covariance @ gain)
+    given = 0.0
     if reference is not None and reference_covariance is not None:
-        lens_covariance = lens_covariance + reference_covariance
-    sigma = float(np.sqrt(max(float(gain @ lens_covariance @ gain), 0.0)))
+        given = float(gain @ reference_covariance @ gain)
+    left_open, sigma = (float(np.sqrt(max(v, 0.0))) for v in (alone, alone + given))
     radius = site_radius_m(points)
     if reference is None:
-        return Dome(None, sigma, flying_height_m, radius)
+        return Dome(None, sigma, left_open, flying_height_m, radius)
     held = hold(block, reference, tick)
     difference = aligned_difference_m(points, held.state.points_m)[:, 2]
     east, north, grid = _grid(held.state.points_m, difference, radius)
     amplitude = float(dome_amplitude_m(held.state.points_m, difference))
-    return Dome(amplitude, sigma, flying_height_m, radius, east, north, grid)
+    return Dome(amplitude, sigma, left_open, flying_height_m, radius, east, north, grid)
 
 
 def _grid(

@@ -90,10 +90,10 @@ def _verdict(page: Section, flown: Flown) -> None:
     )
     page.say(
         f"{repair}; with f free, f runs after the missing K3 and little is gained. A pair on the line is "
-        "equal to the wall's lens within 2 px, not equal. It leaves larger residuals, which the paper saw as "
-        "noise. Fixing the wall's true calibration does neither with us, for our camera did not change between wall "
-        "and flight; that it raised noise in the paper suggests that theirs did. The advice stays theirs: do "
-        "not repair, fly more convergent photos."
+        "equal to the wall's lens within 2 px, not equal. It leaves larger residuals, which the paper saw "
+        "as noise. Fixing the wall's true calibration does neither with us, for our camera did not change "
+        "between wall and flight; that it raised noise in the paper suggests that theirs did. The advice "
+        "stays theirs: do not repair, fly more convergent photos."
     )
 
 
