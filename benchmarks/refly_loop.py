@@ -9,14 +9,13 @@ run can be broken off and taken up again.
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Sequence
 from pathlib import Path
 
 from benchmarks.refly_cases import loop_case
 from benchmarks.refly_report import report
 from benchmarks.refly_score import LoopScore, from_row, score, to_row
-from benchmarks.resumed import read_rows, run_rows
+from benchmarks.resumed import asked, read_rows, run_rows
 
 HERE = Path(__file__).parent
 WHAT = """
@@ -52,14 +51,7 @@ def show(number: int) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the campaign, or show one flight."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--flights", type=int, default=1000)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--case", type=int, help="show this flight and write nothing")
-    parser.add_argument("--out", type=Path, default=HERE)
-    given = parser.parse_args(arguments)
+    given = asked(__doc__, 1000, arguments)
     if given.case is not None:
         show(given.case)
         return

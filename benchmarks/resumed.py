@@ -2,16 +2,38 @@
 
 from __future__ import annotations
 
+import argparse
 import contextlib
 import json
 import sys
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any, TypeVar
 
 T = TypeVar("T")
+
+
+@dataclass(frozen=True)
+class Asked:
+    """What a campaign's command line asks for; ``case``: one flight to be shown."""
+
+    flights: int
+    workers: int
+    case: int | None
+    out: Path
+
+
+def asked(doc: str | None, flights: int, arguments: Sequence[str] | None) -> Asked:
+    """Of ``flights`` at most, unless told otherwise, with results beside this file."""
+    parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--flights", type=int, default=flights)
+    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--case", type=int, help="show this flight and write nothing")
+    parser.add_argument("--out", type=Path, default=Path(__file__).parent)
+    return Asked(**vars(parser.parse_args(arguments)))
 
 
 def read_rows(raw: Path, made: Callable[[dict[str, Any]], T]) -> list[T]:

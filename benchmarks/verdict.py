@@ -10,11 +10,10 @@ points with noise, no images. Everything behind the tie points is the field chec
 
 from __future__ import annotations
 
-import argparse
 from collections.abc import Callable, Sequence
 from pathlib import Path
 
-from benchmarks.resumed import read_rows, run_rows
+from benchmarks.resumed import asked, read_rows, run_rows
 from benchmarks.verdict_cases import case
 from benchmarks.verdict_report import write_report
 from benchmarks.verdict_score import Score, from_row, score, to_row
@@ -48,14 +47,7 @@ def show(number: int) -> None:
 
 def main(arguments: Sequence[str] | None = None) -> None:
     """Run the campaign, or show one case."""
-    parser = argparse.ArgumentParser(
-        description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter
-    )
-    parser.add_argument("--flights", type=int, default=2000)
-    parser.add_argument("--workers", type=int, default=2)
-    parser.add_argument("--case", type=int, help="show this flight and write nothing")
-    parser.add_argument("--out", type=Path, default=HERE)
-    given = parser.parse_args(arguments)
+    given = asked(__doc__, 2000, arguments)
     if given.case is not None:
         show(given.case)
         return

@@ -17,6 +17,7 @@ from defusedxml.common import DefusedXmlException  # type: ignore[import-untyped
 from defusedxml.ElementTree import ParseError, fromstring  # type: ignore[import-untyped]
 
 from calib.errors import FormatError
+from calib.files import is_number
 
 _LARGEST_BYTES = 50_000_000
 _NAMES = ("name", "label", "point", "id", "target", "marker")
@@ -225,7 +226,7 @@ def _table(path: Path, unnamed: tuple[str, ...]) -> tuple[list[tuple[int, list[s
     if first.count(delimiter) == 0:
         raise FormatError(f"{path} is not a CSV table: its first line must name the columns.")
     rows = list(csv.reader(io.StringIO(text), delimiter=delimiter))
-    named = not any(map(_is_number, rows[0][1:]))
+    named = not any(map(is_number, rows[0][1:]))
     header = rows[0] if named else unnamed[: len(rows[0])]
     columns = {cell.strip().lstrip("#").strip().lower(): i for i, cell in enumerate(header)}
     body = []
@@ -245,14 +246,6 @@ def _column(path: Path, columns: dict[str, int], wanted: tuple[str, ...], said: 
         if name in columns:
             return columns[name]
     raise FormatError(f"{path} has no column {said}; its columns are {', '.join(columns) or 'none'}.")
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _number(path: Path, line: int | None, text: str) -> float:

@@ -144,3 +144,12 @@ def _open_to_all(path: Path) -> None:
     mask = os.umask(0)
     os.umask(mask)
     path.chmod(0o666 & ~mask)
+
+
+def is_number(text: str) -> bool:
+    """Whether a cell of a table is a number (NaN is one)."""
+    try:
+        float(text)
+    except ValueError:
+        return False
+    return True

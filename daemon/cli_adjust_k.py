@@ -19,7 +19,7 @@ from calib.files import check_file_writable
 from calib.reference import EquifinalLine, Reference
 from calib.reference_file import write_reference_file
 from calib.references import load_reference
-from daemon.output import console, table, write_json
+from daemon.output import JsonOption, console, table, write_json
 from daemon.terminal import wrapped
 
 SCHEMA = "fieldcal.adjust-k/1"
@@ -40,10 +40,7 @@ def adjust_k(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="FILE", help="Write the changed calibration (JSON).")
     ] = None,
-    json_to: Annotated[
-        str | None,
-        typer.Option("--json", metavar="FILE|-", help="Write JSON (-: to stdout and nothing else)."),
-    ] = None,
+    json_to: JsonOption = None,
 ) -> None:
     """Clip K1 into the equifinal domain and recompute K2, as [C&D] advise against; show what it costs."""
     before = load_reference(reference)

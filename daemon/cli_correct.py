@@ -19,7 +19,7 @@ from calib.control_files import read_points
 from calib.errors import InputError
 from calib.files import check_file_writable
 from calib.wording import path_text, quantity
-from daemon.output import console, table, write_json
+from daemon.output import JsonOption, console, table, write_json
 from daemon.terminal import wrapped
 
 SCHEMA = "fieldcal.correction/1"
@@ -57,10 +57,7 @@ def correct_command(
     sparse_out: Annotated[
         Path | None, typer.Option("--sparse-out", metavar="DIR", help="Folder for the corrected model.")
     ] = None,
-    json_to: Annotated[
-        str | None,
-        typer.Option("--json", metavar="FILE|-", help="Write JSON (-: to stdout and nothing else)."),
-    ] = None,
+    json_to: JsonOption = None,
 ) -> None:
     """Shift, scale and level a cloud by a point, bars, levels or a height model; say what remains.
 

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib.errors import FieldcalError
-from daemon.output import console, table, write_json
+from daemon.output import JsonOption, console, table, write_json
 from daemon.progress import progress_line
 from daemon.session.library import sessions_folder
 
@@ -34,10 +34,7 @@ def doctor(
     wait: Annotated[
         float, typer.Option(min=1, max=3600, metavar="S", help="How long to wait for the vehicle.")
     ] = 15.0,
-    json_to: Annotated[
-        str | None,
-        typer.Option("--json", metavar="FILE|-", help="Write JSON (-: to stdout and nothing else)."),
-    ] = None,
+    json_to: JsonOption = None,
 ) -> None:
     """Look at this computer, and at a vehicle's link, streams, clock and camera settings.
 

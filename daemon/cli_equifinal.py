@@ -13,7 +13,7 @@ from calib.equifinal_published import radial_of
 from calib.errors import InputError
 from calib.reference import EquifinalLine, Reference
 from calib.references import load_reference
-from daemon.output import console, table, write_json
+from daemon.output import JsonOption, console, table, write_json
 
 SCHEMA = "fieldcal.equifinal/1"
 
@@ -31,10 +31,7 @@ def equifinal(
     draws: Annotated[
         int | None, typer.Option("--monte-carlo", metavar="N", help="Check by N random draws as well.")
     ] = None,
-    json_target: Annotated[
-        str | None,
-        typer.Option("--json", metavar="FILE|-", help="Write JSON (-: to stdout and nothing else)."),
-    ] = None,
+    json_target: JsonOption = None,
 ) -> None:
     """Line, band and domain of the (K1, K2) that give a camera's distortion within a tolerance."""
     answer = _answer(load_reference(camera), tolerance_px, radius_px, draws)

@@ -22,7 +22,7 @@ from calib.perturb import Perturbation, ZeroTangent, cubic_through, perturb, zer
 from calib.reference import Reference
 from calib.references import load_reference
 from calib.wall import wall_block
-from daemon.output import console, table, write_json
+from daemon.output import JsonOption, console, table, write_json
 
 SCHEMA = "fieldcal.perturb/1"
 _FEWEST, _MOST = 4, 200
@@ -37,10 +37,7 @@ def perturb_command(
     out: Annotated[
         Path | None, typer.Option("--out", metavar="DIR", help="Folder for perturb.csv: every pair.")
     ] = None,
-    json_target: Annotated[
-        str | None,
-        typer.Option("--json", metavar="FILE|-", help="Write JSON (-: to stdout and nothing else)."),
-    ] = None,
+    json_target: JsonOption = None,
 ) -> None:
     """Hold K1 and K2, adjust a simulated flat wall again, and find where its dome vanishes."""
     if not _FEWEST <= grid <= _MOST:

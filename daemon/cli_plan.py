@@ -11,7 +11,7 @@ import typer
 
 from calib.errors import InputError
 from calib.files import check_file_writable
-from daemon.output import console, write_json
+from daemon.output import JsonOption, console, write_json
 from daemon.plan_output import plan_json, print_ending, print_plan
 from mission.compose import compose_with_notes
 from mission.encode import SUFFIXES, write
@@ -111,10 +111,7 @@ def plan(
         bool, typer.Option("--split", help="Several missions where one battery is not enough.")
     ] = False,
     force: Annotated[bool, typer.Option("--force", help="Write a plan that breaks a hard limit.")] = False,
-    json_target: Annotated[
-        str | None,
-        typer.Option("--json", metavar="FILE|-", help="Write JSON (-: to stdout and nothing else)."),
-    ] = None,
+    json_target: JsonOption = None,
     autopilot: Annotated[
         Literal["ardupilot", "px4"], typer.Option(help="Whose mission items .plan and .waypoints get.")
     ] = "ardupilot",

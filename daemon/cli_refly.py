@@ -11,7 +11,7 @@ from calib.errors import InputError
 from calib.files import check_file_writable
 from calib.findings import Verdict
 from calib.flown_file import NETWORK_FILE, FlownCheck, read_network
-from daemon.output import console, write_json
+from daemon.output import JsonOption, console, write_json
 from daemon.refly_output import no_pass_json, print_refly, refly_json
 from daemon.session.library import find
 from mission.encode import SUFFIXES, write
@@ -44,10 +44,7 @@ def refly_command(
             help=f"Write the pass, once or several times: {', '.join(SUFFIXES)}; {SHEET}: the sheet.",
         ),
     ] = None,
-    json_target: Annotated[
-        str | None,
-        typer.Option("--json", metavar="FILE|-", help="Write JSON (-: to stdout and nothing else)."),
-    ] = None,
+    json_target: JsonOption = None,
     launch: Annotated[
         str | None, typer.Option(metavar="LAT,LON", help="Launch point (default: below the first photo).")
     ] = None,

@@ -10,7 +10,7 @@ import typer
 from calib.errors import InputError
 from calib.wording import VERDICT_WORDS, printable
 from daemon.capture.tagging import Kind, tag_photos
-from daemon.output import console, table, write_json
+from daemon.output import JsonOption, console, table, write_json
 from daemon.session.as_json import session_json, state_of, summary_json
 from daemon.session.export import export_session
 from daemon.session.library import Summary, find, list_sessions, sessions_folder, summarise
@@ -23,10 +23,6 @@ app = typer.Typer(
 )
 NameArgument = Annotated[
     str, typer.Argument(metavar="NAME", help="A flight, or the beginning of its name that no other has.")
-]
-JsonOption = Annotated[
-    str | None,
-    typer.Option("--json", metavar="FILE|-", help="Write JSON (-: to stdout and nothing else)."),
 ]
 
 

@@ -5,12 +5,20 @@ from __future__ import annotations
 import json
 import sys
 from pathlib import Path
+from typing import Annotated
 
+import typer
 from rich.console import Console
 from rich.table import Table
 from rich.text import Text
 
 from calib.errors import OutputError
+
+#: For commands that write what they tell as data.
+JsonOption = Annotated[
+    str | None,
+    typer.Option("--json", metavar="FILE|-", help="Write JSON (-: to stdout and nothing else)."),
+]
 
 
 def console(to_stderr: bool = False) -> Console:

@@ -18,7 +18,7 @@ from calib.camera import FloatArray
 from calib.clouds.kinds import CloudFile, Kind
 from calib.control_files import AXIS_NAMES
 from calib.errors import InputError
-from calib.files import output_errors
+from calib.files import is_number, output_errors
 from calib.similarity import Similarity
 
 _COMMENTS = ("#", "//")
@@ -82,7 +82,7 @@ def _layout(path: Path) -> _Layout:
                     return named
                 continue
             cells = [cell for cell in re.split(r"[,;\t ]+", line) if cell]
-            if all(_is_number(cell) for cell in cells[:3]):
+            if all(is_number(cell) for cell in cells[:3]):
                 if len(cells) < 3:
                     if len(cells) == 1 and cells[0].isdigit():
                         continue  # The number of points, as PTS files have it.
@@ -115,14 +115,6 @@ def _named(path: Path, line: str, number: int) -> _Layout | None:
 
 def _delimiter(line: str) -> str | None:
     return next((mark for mark in (";", ",", "\t") if mark in line), None)
-
-
-def _is_number(text: str) -> bool:
-    try:
-        float(text)
-    except ValueError:
-        return False
-    return True
 
 
 def _blocks(path: Path, layout: _Layout, size: int) -> Iterator[tuple[int, bytes]]:
