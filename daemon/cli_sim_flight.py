@@ -175,15 +175,13 @@ def camera(
         if out.is_dir() and any(out.iterdir()):
             raise OutputError(f"The folder {out} is not empty; the camera needs a folder of its own.")
     with output_folder(out), Link(parse(link)) as line:
-        if not quiet:
-            width, height = pixels
-            say = f"Waiting for a vehicle on {line.address}; photos of {width} x {height} px go to"
-            console().print(f"{say} {path_text(out)}. Ctrl-C ends it.", soft_wrap=True)
+        say = f"Waiting for a vehicle on {line.address}; photos of {pixels[0]} x {pixels[1]} px go to"
+        say = f"{say} {path_text(out)}. Ctrl-C ends it."
         hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
         with progress_line(hidden, "waiting for a vehicle") as report, output_errors(out):
             taking = Camera(line, options, out, miss_share=miss_photos, tell=_teller(report, line))
             with taking:
-                _work(taking, once, quiet)
+                _work(taking, once, quiet, say)
     if taking.truth is not None:
         write_reference_file(true_reference(taking.truth, "true-lens"), out / LENS_FILE)
     if not quiet:
@@ -191,11 +189,13 @@ def camera(
     return 0
 
 
-def _work(taking: Camera, once: bool, quiet: bool) -> None:
+def _work(taking: Camera, once: bool, quiet: bool, say: str) -> None:
     """Until Ctrl-C; what was triggered until then is made, unless there is another Ctrl-C."""
     with contextlib.suppress(KeyboardInterrupt):
         with contextlib.suppress(KeyboardInterrupt):
             said = quiet
+            if not quiet:
+                console().print(say, soft_wrap=True)
             while not (once and taking.landed):
                 taking.step()
                 if not said and taking.ground_ready:

@@ -72,6 +72,21 @@ def test_wrong_k1_bends_the_site_as_predicted(k1_error: float) -> None:
     assert 0.02 < less / true < 0.4
 
 
+def test_a_point_that_hangs_in_the_air_does_not_count() -> None:
+    """One point whose rays hardly cross would leave every dome open, and hide every one."""
+    block = small("A1", 1, 250, noise_px=0.0, gps_sigma_m=0.0, relief_m=0.5)
+    good = held_at(block, 0.003)
+    response = good.adjusted.point_response
+    assert response is not None
+    wild = response.copy()
+    wild[17] *= 1e6
+    hanging = replace(good, adjusted=replace(good.adjusted, point_response=wild))
+    covariance = np.diag(np.where(good.adjusted.free, 1e-6, 0.0))
+    domes = [predict_dome(one, covariance, block.lens, 60.0) for one in (good, hanging)]
+    assert domes[1].sigma_m == pytest.approx(domes[0].sigma_m, rel=0.05)
+    assert domes[1].amplitude_m == pytest.approx(domes[0].amplitude_m, rel=0.05)
+
+
 def test_map_shows_the_dome() -> None:
     block = small("A1", 1, 300, noise_px=0.0, gps_sigma_m=0.0, relief_m=0.5)
     wrong = held_at(block, 0.003)

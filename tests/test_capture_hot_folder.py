@@ -163,7 +163,8 @@ def test_photos_and_triggers_as_pairing_takes_them() -> None:
     assert one.order < two.order
     assert file_number(Photo(Path("/x/photo.jpg"), camera)) == 0
     feedback = LinkTrigger(
-        3, 1, 99.0, ((PhotoSource.FEEDBACK, 7),), 0, None, 1.7e9, 47.0, 8.0, 500.0,
+        3, 1, 99.0, ((PhotoSource.FEEDBACK, 7),), 0, None, 1.7e9,
+        latitude_deg=47.0, longitude_deg=8.0, altitude_msl_m=500.0,
         vehicle_angles=Angles(1.0, 2.0, 3.0), completed=0,
     )  # fmt: skip
     captured = LinkTrigger(4, 0, 101.0, ((PhotoSource.CAPTURED, -1),), 0, 55.0, 1.7e9 + 2)

@@ -6,12 +6,15 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calib.align.adjust import similarity_tangent
+from calib.align.adjust import BoolArray, similarity_tangent
 from calib.align.selfcal import Calibrated, hold
 from calib.camera import FloatArray
 from calib.field import LENS_NAMES, Lens
 from calib.similarity import fit_similarity
 from calib.solution import Dome
+
+#: Points that the lens leaves open so many times as much as the middle one do not count for the dome.
+UNSETTLED = 100.0
 
 
 def site_radius_m(points_m: FloatArray) -> float:
@@ -54,6 +57,17 @@ def _tangent_rest(points_m: FloatArray, moves_m: FloatArray) -> FloatArray:
     return heights
 
 
+def _settled(response: FloatArray, covariance: FloatArray) -> BoolArray:
+    """Points (m,) that the lens leaves open about as much as it does the others.
+
+    One whose rays are down-weighted to hardly any parallax hangs in the air: it says nothing of the site,
+    and a least-squares surface would follow nothing else. Response (m, 3, p), covariance (p, p).
+    """
+    open_m = np.sqrt(np.maximum(np.einsum("mip,pq,miq->m", response, covariance, response), 0.0))
+    kept: BoolArray = open_m <= UNSETTLED * max(float(np.median(open_m)), 1e-12)
+    return kept
+
+
 def predict_dome(
     block: Calibrated,
     lens_covariance: FloatArray,
@@ -68,10 +82,11 @@ def predict_dome(
     poses and points re-adjusted around the lens, and likewise what the reference's own leaves open.
     """
     adjusted = block.adjusted
-    points = adjusted.state.points_m
     if adjusted.point_response is None:
         raise ValueError("the block was adjusted without its response")
-    heights = _tangent_rest(points, adjusted.point_response)
+    kept = _settled(adjusted.point_response, lens_covariance[np.ix_(adjusted.free, adjusted.free)])
+    points = adjusted.state.points_m[kept]
+    heights = _tangent_rest(points, adjusted.point_response[kept])
     gain = np.zeros(len(LENS_NAMES))
     gain[adjusted.free] = dome_amplitude_m(points, heights)
     alone = float(gain @ lens_covariance @ gain)
@@ -82,10 +97,10 @@ def predict_dome(
     radius = site_radius_m(points)
     if reference is None:
         return Dome(None, sigma, left_open, flying_height_m, radius)
-    held = hold(block, reference, tick)
-    difference = aligned_difference_m(points, held.state.points_m)[:, 2]
-    east, north, grid = _grid(held.state.points_m, difference, radius)
-    amplitude = float(dome_amplitude_m(held.state.points_m, difference))
+    there = hold(block, reference, tick).state.points_m[kept]
+    difference = aligned_difference_m(points, there)[:, 2]
+    east, north, grid = _grid(there, difference, radius)
+    amplitude = float(dome_amplitude_m(there, difference))
     return Dome(amplitude, sigma, left_open, flying_height_m, radius, east, north, grid)
 
 

@@ -63,36 +63,42 @@ class TcpEnd:
         self.url = f"tcp://127.0.0.1:{self._server.getsockname()[1]}"
 
     def fileno(self) -> int:
-        return self._server.fileno() if self._client is None else self._client.fileno()
+        # Another thread may hang up at any instant: a closed client has the number -1.
+        client = self._client
+        number = -1 if client is None else client.fileno()
+        return number if number >= 0 else self._server.fileno()
 
     def read(self) -> list[bytes]:
-        if self._client is None:
+        client = self._client
+        if client is None:
             readable, _, _ = select.select([self._server], [], [], 0)
             if readable:
                 self._client, _ = self._server.accept()
                 self._client.setblocking(False)
             return []
         try:
-            data = self._client.recv(65536)
+            data = client.recv(65536)
         except BlockingIOError:
             return []
-        except ConnectionError:
+        except OSError:
             data = b""
-        if not data:
+        if not data and self._client is client:
             self.hang_up()
         return [data] if data else []
 
     def write(self, data: bytes) -> None:
-        if self._client is not None:
+        client = self._client
+        if client is not None:
             try:
-                self._client.sendall(data)
+                client.sendall(data)
             except OSError:
-                self.hang_up()
+                if self._client is client:
+                    self.hang_up()
 
     def hang_up(self) -> None:
-        if self._client is not None:
-            self._client.close()
-            self._client = None
+        client, self._client = self._client, None
+        if client is not None:
+            client.close()
 
     def close(self) -> None:
         self.hang_up()

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import contextlib
 import random
 import select
 import socket
@@ -60,7 +61,8 @@ class Proxy:
 
     def _run(self) -> None:
         while not self._stop.is_set():
-            select.select([self._vehicle.fileno(), self.end.fileno()], [], [], LOOK_S)
+            with contextlib.suppress(OSError):  # The end was hung up just now.
+                select.select([self._vehicle.fileno(), self.end.fileno()], [], [], LOOK_S)
             now = time.monotonic()
             self._from_vehicle(now)
             for data in self.end.read():
