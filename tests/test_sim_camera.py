@@ -5,6 +5,7 @@ from __future__ import annotations
 import asyncio
 import math
 import random
+import re
 import signal
 import subprocess
 import sys
@@ -99,6 +100,13 @@ def apart(truth: SurveyTruth, photos: list[PhotoTaken]) -> tuple[float, float]:
     return far_m, max(turns)
 
 
+def nearest(truth: SurveyTruth, photos: list[PhotoTaken]) -> list[PhotoTaken]:
+    """The vehicle's photo at the place of each rendered one: a busy machine may lose a datagram or two."""
+    frame = LocalFrame(*truth.origin_wgs84)
+    places = frame.enu(*LAUNCH.geodetic(np.array([photo.at_m for photo in photos])).T)
+    return [photos[int(np.linalg.norm(places - centre, axis=1).argmin())] for centre in truth.centres_m]
+
+
 @pytest.mark.parametrize("flavour", encode.FLAVOURS)
 def test_the_photos_of_a_flight(tmp_path: Path, flavour: Flavour) -> None:
     out, ground, beside = tmp_path / "tether", free_port(), free_port()
@@ -149,7 +157,9 @@ def test_an_autopilot_s_simulator_and_a_camera_with_faults(tmp_path: Path) -> No
     photos = [read_photo(out / name) for name in truth.photos]
     missed = len(server.vehicle.photos) - len(photos)
     assert 0 < missed < len(server.vehicle.photos) - 2
-    assert f"{missed} missed on purpose" in ran.out
+    said = re.search(r"(\d+) missed on purpose", ran.out)
+    assert said is not None
+    assert missed - 2 <= int(said[1]) <= missed  # A busy machine may lose a datagram or two.
     assert f"{len(photos) + missed} poses are interpolated" not in ran.out
     assert f"{len(photos)} poses are interpolated" in ran.out
     # Which of the vehicle's photos they are is known by their times.
@@ -186,7 +196,9 @@ def test_ctrl_c_ends_it_with_the_truth_of_what_was_taken(tmp_path: Path) -> None
     assert [*truth.photos] == sorted(path.name for path in out.glob("*.JPG"))
     assert not [*out.glob(".*")]
     assert 3 <= len(truth.photos) <= len(server.vehicle.photos)
-    far_m, turned_deg = apart(truth, server.vehicle.photos[: len(truth.photos)])
+    taken = nearest(truth, server.vehicle.photos)
+    assert [photo.index for photo in taken] == sorted({photo.index for photo in taken})
+    far_m, turned_deg = apart(truth, taken)
     assert far_m < PLACE_M
     assert turned_deg < TURN_DEG
 
