@@ -8,6 +8,8 @@ import os
 # It has to be said before numpy is loaded.
 os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
 os.environ.setdefault("OMP_NUM_THREADS", "1")
+# pymavlink reads it on its first import and again later: said by one test's helper alone, the two differ.
+os.environ.setdefault("MAVLINK20", "1")
 
 from pathlib import Path
 
