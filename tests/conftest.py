@@ -19,7 +19,6 @@ from calib.photos.photo import Photo
 from calib.photos.read import read_photo
 from sim.survey import SurveyTruth, write_survey
 
-
 #: Files that take longest, longest first: workers that get these last leave the others idle.
 LONGEST = (
     "test_demo",
