@@ -310,9 +310,10 @@ def report(flown: list[Flown]) -> str:
         "# Photo flights with faults",
         "",
         f"{len(flown)} flights of 15-45 photos over real sockets, ArduPilot and PX4, at ten times real time; "
-        "by seed, all in the time of the flight: loss to 10 %, doubling to 30 %, delay to 0.5 s and reordering, "
-        "up to two cuts of 1-40 s, shutters that fail (to 15 %), files that never come, test shots, a camera clock off by up to an "
-        "hour and drifting by up to 200 ppm, a third with whole seconds. Made by "
+        "by seed, all in the time of the flight: loss to 10 %, doubling to 30 %, delay to 0.5 s and "
+        "reordering, up to two cuts of 1-40 s, shutters that fail (to 15 %), files that never come, test "
+        "shots, a camera clock off by up to an hour and drifting by up to 200 ppm, a third with whole "
+        "seconds. Made by "
         "`python -m benchmarks.flight_faults`.",
         "",
         f"**{len(flown) - len(wrong)} of {len(flown)} flights without a fault of ours.**",
