@@ -53,23 +53,31 @@ class Shelf:
         self._photos = photos
         self._kept: OrderedDict[int, tuple[Picture, ...]] = OrderedDict()
         self._lock = threading.Lock()
+        #: One a photo, so that one that is looked at does not wait for the next.
+        self._decoding = [threading.Lock() for _ in photos]
 
     def levels(self, number: int) -> tuple[Picture, ...]:
         """
         Raises:
             PhotoError: it cannot be decoded, or to another size than its metadata say.
         """
-        with self._lock:
-            if number not in self._kept:
-                photo = self._photos[number]
-                picture = decode(photo.path)
-                if picture.shape[:2] != (photo.camera.height, photo.camera.width):
-                    raise PhotoError(f"{photo.path}: its pixels are not those that its metadata tell of.")
-                self._kept[number] = levels(picture)
-            self._kept.move_to_end(number)
-            while len(self._kept) > 1 and sum(map(_bytes, self._kept.values())) > _KEPT_BYTES:
-                self._kept.popitem(last=False)
-            return self._kept[number]
+        with self._decoding[number]:
+            with self._lock:
+                found = self._kept.get(number)
+            found = found or self._decoded(number)
+            with self._lock:
+                self._kept[number] = found
+                self._kept.move_to_end(number)
+                while len(self._kept) > 1 and sum(map(_bytes, self._kept.values())) > _KEPT_BYTES:
+                    self._kept.popitem(last=False)
+        return found
+
+    def _decoded(self, number: int) -> tuple[Picture, ...]:
+        photo = self._photos[number]
+        picture = decode(photo.path)
+        if picture.shape[:2] != (photo.camera.height, photo.camera.width):
+            raise PhotoError(f"{photo.path}: its pixels are not those that its metadata tell of.")
+        return levels(picture)
 
 
 def _bytes(pictures: tuple[Picture, ...]) -> int:

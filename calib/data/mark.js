@@ -5,8 +5,8 @@
   const $ = (id) => document.getElementById(id);
   const view = $("view"), loupe = $("loupe"), said = $("said");
   const ORANGE = "#ff8c1a", BLUE = "#39a0ff", RED = "#ff3b30";
-  const LARGEST = 64, TILES_KEPT = 400, DRAG_FROM = 4, LOUPE = 8;
-  const SNAP_REACH = 14;  // On the screen; in the photo from 3 to 60 px.
+  const LARGEST = 64, TILES_KEPT = 400, DRAG_FROM = 4, LOUPE = 8, LOOK_AHEAD_MS = 1500;
+  const SNAP_REACH = 12, LEAST_REACH = 3, MOST_REACH = 20;  // The first on the screen, the others in the photo.
 
   let state = null, photo = 0, point = 0;
   let marks = [];  // By photo: Map of point name to [u, v].
@@ -16,6 +16,7 @@
   const history = [];
   let queue = Promise.resolve();
   const tiles = new Map();
+  let ahead = 0;
 
   function prediction(got) {
     return { pixels: new Map(Object.entries(got?.pixels ?? {})), doubtful: got?.doubtful ?? [] };
@@ -138,6 +139,8 @@
     pen.imageSmoothingQuality = "high";
     const levels = levelSizes(photo), coarse = levels.length - 1;
     const fine = Math.min(coarse, Math.max(0, Math.floor(Math.log2(1 / (at.scale * ratio)) + 0.01)));
+    const small = $("photos").children[photo].querySelector("img");
+    if (small.complete && small.naturalWidth) pen.drawImage(small, 0, 0, width, height);
     // The coarsest first: it is there at once, and lies under finer ones still on their way.
     for (const level of coarse === fine ? [fine] : [coarse, fine]) {
       const [lw, lh] = levels[level], fu = width / lw, fv = height / lh, t = state.tile_px;
@@ -320,13 +323,17 @@
       draw();
     };
     if (!other) { arrive(); return; }
+    say("");
     pointer = null;
     predicted = prediction();
     arrive();
     queue = queue.then(() => refresh(newPhoto)).then(arrive).catch(gone);
-    // So that the next one is decoded already when it is wanted.
-    const next = (photo + 1) % state.photos.length;
-    tile(next, levelSizes(next).length - 1, 0, 0);
+    clearTimeout(ahead);
+    ahead = setTimeout(() => {
+      // So that the next one is decoded already when it is wanted.
+      const next = step(photo, 1, state.photos.length);
+      tile(next, levelSizes(next).length - 1, 0, 0);
+    }, LOOK_AHEAD_MS);
   }
 
   async function refresh(number) {
@@ -383,9 +390,17 @@
 
   function mark(at, snapping) {
     const number = photo, { name } = state.points[point];
-    const reach = Math.min(Math.max(SNAP_REACH / look().scale, 3), 60);
+    const reach = Math.min(Math.max(SNAP_REACH / look().scale, LEAST_REACH), MOST_REACH);
+    // Shown at once; where it stays is told in a moment.
+    const was = marks[number].get(name);
+    marks[number].set(name, at);
+    draw();
     return inTurn(async () => {
-      const got = await put(number, name, at, snapping ? reach : null);
+      const got = await put(number, name, at, snapping ? reach : null).catch((error) => {
+        if (was) marks[number].set(name, was); else marks[number].delete(name);
+        draw();
+        throw error;
+      });
       history.push({ number, name, before: got.before });
       const moved = Math.hypot(got.at[0] - at[0], got.at[1] - at[1]).toFixed(1);
       tell(got, got.onto ? `${name} marked on the ${got.onto}, ${moved} px away.`

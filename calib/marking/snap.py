@@ -25,6 +25,8 @@ _LEAST_CLARITY = 6.0
 _LEAST_AREA_PX = 9
 #: Share of the contrast by which background and target may vary without drawing the centroid.
 _UNEVEN = 0.15
+#: A click as far from a target's rim is still meant for it, px (and half the target's radius).
+_BESIDE_PX = 3.0
 #: Area of a blob over that of the ellipse with its moments: 1 for ellipses, 0.95 for squares.
 _ELLIPTIC = (0.86, 1.14)
 _LONGEST_ASPECT = 5.0
@@ -46,9 +48,9 @@ class Snapped:
 def snap(picture: Picture, u_px: float, v_px: float, reach_px: float) -> Snapped | None:
     """The nearest middle of a target or tip of a corner within ``reach_px``; None where there is neither.
 
-    Targets are blobs of one brightness on another (discs, squares): centroid weighted by grey values. Corners
-    are where edges meet: the point that all gradients around it are at right angles to (``cornerSubPix``).
-    ``picture`` (h, w, 3).
+    ``picture`` (h, w, 3). Targets are blobs of one brightness on another (discs, squares) that were clicked
+    on or nearly: centroid weighted by grey values. Corners are where edges meet: the point that all
+    gradients around it are at right angles to (``cornerSubPix``).
     """
     half = math.ceil(2 * reach_px) + 4
     left, top = max(int(u_px) - half, 0), max(int(v_px) - half, 0)
@@ -72,7 +74,7 @@ def snap(picture: Picture, u_px: float, v_px: float, reach_px: float) -> Snapped
 
 
 def _target(part: Gray, at: FloatArray) -> FloatArray | None:
-    """Centroid (2,) of the blob nearest to ``at``, dark or bright, that lies whole within the crop."""
+    """Centroid (2,) of the blob that was clicked on, or nearly: dark or bright, whole within the crop."""
     threshold, bright = cv2.threshold(part, 0, 1, cv2.THRESH_BINARY + cv2.THRESH_OTSU)
     best, least = None, math.inf
     for mask in (bright, 1 - bright):
@@ -83,6 +85,7 @@ def _target(part: Gray, at: FloatArray) -> FloatArray | None:
             left, top, width, height, area = stats[label]
             inside = left > 0 and top > 0 and left + width < part.shape[1] and top + height < part.shape[0]
             distance = float(np.hypot(*(middles[label] - at)))
+            inside = inside and distance < 0.75 * max(width, height) + _BESIDE_PX
             if inside and area >= _LEAST_AREA_PX and distance < least and _is_round(labels == label):
                 found = _centroid(part, labels == label, threshold)
                 if found is not None:
