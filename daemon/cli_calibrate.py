@@ -64,7 +64,7 @@ from daemon.progress import progress_line
 from daemon.terminal import BADGES, print_findings, wrapped
 
 app = typer.Typer(
-    help="Calibrate a camera on site: on a flat wall or from any convergent flight.",
+    help="Calibrate a camera on site: on a flat wall, from any convergent flight or on control points.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )

@@ -56,7 +56,7 @@ def mark_command(
     photos: PhotosArgument,
     points: Annotated[Path, typer.Option(metavar="FILE", help="Points to mark: CSV with name, x, y, z.")],
     marks: Annotated[
-        Path, typer.Option(metavar="FILE", help="CSV to keep the marks in; one that exists is gone on with.")
+        Path, typer.Option(metavar="FILE", help="CSV to keep the marks in, for calibrate control.")
     ] = Path("marks.csv"),
     scan: ScanOption = None,
     scan_radius: ScanRadiusOption = SCAN_RADIUS_M,
@@ -66,7 +66,7 @@ def mark_command(
         int, typer.Option(min=0, max=65535, help="Port of the page (default: any free one).")
     ] = 0,
 ) -> None:
-    """Mark control points by hand, on a page in your browser; the marks are for calibrate control."""
+    """Mark control points by hand on a page in your browser."""
     hidden = sys.stderr is None or not sys.stderr.isatty()
     with progress_line(hidden, "reading metadata") as report:
         surveyed, notes = scanned(read_points(points), scan, scan_radius, report)

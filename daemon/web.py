@@ -10,6 +10,7 @@ from __future__ import annotations
 import contextlib
 import hmac
 import json
+import re
 import secrets
 import sys
 import threading
@@ -23,6 +24,7 @@ from calib.errors import FieldcalError, InputError
 
 #: No request of a page of ours is larger.
 _LARGEST_BODY = 65_536
+_DIGITS = re.compile(r"[0-9]{1,9}")
 _TIMEOUT_S = 60.0
 _POLICY = (
     "default-src 'none'; script-src 'self'; style-src 'self'; img-src 'self' data:; connect-src 'self'; "
@@ -115,14 +117,17 @@ class _Handler(BaseHTTPRequestHandler):
     server: _Server
 
     def do_GET(self) -> None:
-        self._reply(None)
+        if "Content-Length" in self.headers or "Transfer-Encoding" in self.headers:
+            self._refuse()
+        else:
+            self._reply(None)
 
     def do_POST(self) -> None:
         size = self.headers.get("Content-Length", "")
-        if not self._allowed() or not self._from_page() or not size.isascii() or not size.isdigit():
+        if not self._allowed() or not self._from_page() or _DIGITS.fullmatch(size) is None:
             self._refuse()
         elif int(size) > _LARGEST_BODY:
-            self._send(Reply(b"", "text/plain", 413), close=True)
+            self._send(Reply(b"Too large.", "text/plain", 413), close=True)
         else:
             self._reply(self.rfile.read(int(size)))
 

@@ -160,6 +160,8 @@ def test_pictures_are_as_stored(tmp_path: Path, site: Site) -> None:
     deep = decode(file)
     assert deep.shape == (60, 80, 3)
     assert (deep[0, 0, 0], deep[-1, -1, 0]) == (0, 255)
+    assert decode(file, 40).shape == (30, 40, 3)
+    assert decode(site.folder / site.photos[4], 160).shape == (120, 160, 3)
     assert len(cut_out(wide, 0, 0, 40)) > 300
     assert len(cut_out(wide, 9999, 9999, 40)) > 300
     file.write_bytes(file.read_bytes()[:300])
@@ -234,6 +236,11 @@ def test_only_the_page_is_answered(site: Site, tmp_path: Path) -> None:
         assert _ask(address, f"{home}mark", "POST", put, Origin="http://evil.example") == 403
         assert _ask(address, "/mark", "POST", put) == 403
         assert _ask(address, f"{home}mark", "POST", "x" * 70_000) == 413
+        for size in ("-5", "9" * 5000, "", "1e3"):
+            assert _ask(address, f"{home}mark", "POST", **{"Content-Length": size}) == 403
+        assert _ask(address, f"{home}state", "GET", put) == 403
+        for method in ("PUT", "DELETE", "OPTIONS", "HEAD", "CONNECT"):
+            assert _ask(address, f"{home}mark", method) == 501
         for wrong in (
             '{"photo": 9, "point": "T01", "at": null}',
             '{"photo": 0, "point": "T99", "at": null}',

@@ -23,7 +23,7 @@ _STRETCH = (0.5, 99.5)
 
 
 def decode(path: Path, longer_side_px: int | None = None) -> Picture:
-    """Pixels (h, w, 3) red, green, blue as stored; of about ``longer_side_px`` where that is much less.
+    """Pixels (h, w, 3) red, green, blue as stored, reduced to ``longer_side_px`` where that is less.
 
     Raises:
         PhotoError: the image data cannot be decoded; one sentence.
@@ -32,14 +32,17 @@ def decode(path: Path, longer_side_px: int | None = None) -> Picture:
         with Image.open(path) as image:
             if longer_side_px is not None:
                 image.draft("RGB", (longer_side_px, longer_side_px))
-                image.thumbnail((longer_side_px, longer_side_px), reducing_gap=2)
-            if image.mode.startswith(("I", "F")):
-                return _stretched(np.asarray(image, dtype=np.float32))
-            return np.asarray(image.convert("RGB"))
+            deep = image.mode.startswith(("I", "F"))
+            picture = _stretched(np.asarray(image, np.float32)) if deep else np.asarray(image.convert("RGB"))
     except (OSError, ValueError, SyntaxError, Image.DecompressionBombError) as error:
         raise PhotoError(
             f"{path}: the image data cannot be decoded; copy the file from the card again."
         ) from error
+    if longer_side_px is None or max(picture.shape[:2]) <= longer_side_px:
+        return picture
+    small = Image.fromarray(picture)
+    small.thumbnail((longer_side_px, longer_side_px), reducing_gap=2)
+    return np.asarray(small)
 
 
 def levels(picture: Picture) -> tuple[Picture, ...]:
