@@ -243,6 +243,7 @@
       const item = make("li"), image = make("img");
       image.loading = "lazy";
       image.alt = "";
+      image.onerror = () => { image.style.visibility = "hidden"; };
       image.src = `photo/${number}/thumb`;
       if (one.turn) image.style.transform = `rotate(${90 * one.turn}deg) scale(${one.turn % 2 ? 0.6 : 1})`;
       item.append(image, make("span", one.name), make("div", "", "number"));
@@ -289,6 +290,7 @@
     $("others").replaceChildren(...others.map((number) => {
       const figure = make("figure"), image = make("img"), [u, v] = marks[number].get(name);
       image.alt = image.title = `${name} in ${state.photos[number].name}`;
+      image.onerror = () => figure.remove();
       image.src = `photo/${number}/cut/${Math.floor(u)}/${Math.floor(v)}`;
       figure.append(image);
       figure.onclick = () => show(number, point, true);
