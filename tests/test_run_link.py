@@ -23,14 +23,16 @@ from daemon.session.reader import SessionReader
 from daemon.session.store import Session
 from mission import encode
 from mission.encode import Flavour
+from sim.photo_flight import Card, PhotoFlight, photo_flight
 from tests.check_process import wait_for
-from tests.photo_flights import Card, PhotoFlight, photo_flight
+from tests.mission_plans import line, orbit, plan_of
 from tests.test_flight import Scripted
 from tests.test_run_cli import the_session, working
 
 #: The flight's clock runs faster than the wall's, as the vehicle's does.
 FAST = 10.0
 SPEED_UP = 12.0
+PLAN = plan_of(*line(60.0, 10.0, 25.0), *orbit(6, radius=20.0, height=25.0), speed_m_s=6.0)
 
 
 class Run:
@@ -116,7 +118,7 @@ def positions_hold(photos: tuple[Photo, ...], flown: PhotoFlight) -> int:
 def test_triggers_pairs_and_positions_are_those_of_the_flight(flavour: Flavour, tmp_path: Path) -> None:
     folder = tmp_path / "card"
     with (
-        photo_flight(flavour, folder) as flown,
+        photo_flight(flavour, folder, PLAN) as flown,
         Session.create(tmp_path / "record") as session,
     ):
         run = Run(session, folder, flown.proxy.url)
@@ -149,7 +151,7 @@ def test_a_link_that_is_cut_does_not_stop_the_flight(tmp_path: Path) -> None:
     """What was told during the cut is lost but for the last photo, and said; photos and pairs go on."""
     folder = tmp_path / "card"
     with (
-        photo_flight("ardupilot", folder) as flown,
+        photo_flight("ardupilot", folder, PLAN) as flown,
         Session.create(tmp_path / "record") as session,
     ):
         run = Run(session, folder, flown.proxy.url)
@@ -188,7 +190,7 @@ def test_files_that_never_came_are_missed(tmp_path: Path) -> None:
     folder = tmp_path / "card"
     with (
         photo_flight(
-            "px4", folder, card=lambda server: Card(folder, server, skip=frozenset({4, 8}))
+            "px4", folder, PLAN, card=lambda server: Card(folder, server, skip=frozenset({4, 8}))
         ) as flown,
         Session.create(tmp_path / "record") as session,
     ):
@@ -212,7 +214,7 @@ def test_a_recorded_flight_gives_what_the_flight_gave(flavour: Flavour, tmp_path
     """Photos read from the card after the flight, with the log that was recorded then."""
     folder = tmp_path / "card"
     with (
-        photo_flight(flavour, folder) as flown,
+        photo_flight(flavour, folder, PLAN) as flown,
         Session.create(tmp_path / "record") as session,
         Session.create(tmp_path / "later") as later,
     ):
@@ -250,7 +252,7 @@ def test_kill_9_loses_no_trigger_that_was_recorded_and_doubles_none(tmp_path: Pa
             found = session.pairing()
             return 0 if found is None else sum(pair.sure for pair in found.value.pairs)
 
-    with photo_flight("ardupilot", folder) as flown:
+    with photo_flight("ardupilot", folder, PLAN) as flown:
         run = ("run", "--photos", folder, "--link", flown.proxy.url, "--no-live", "--quiet", "--idle", "0")
         with working(tmp_path, *run) as process:
             wait_for(lambda: flown.server.vehicle.telemetry.rates_hz.get("ATTITUDE"), 180)
