@@ -5,6 +5,7 @@ Small and dense: some dozens of photos and points. Least squares by Levenberg-Ma
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import cv2
@@ -85,6 +86,16 @@ class Fit:
         return float(np.sqrt(self.chi2 / self.freedom)) if self.freedom > 0 else float("nan")
 
 
+@dataclass(frozen=True)
+class _Pose:
+    """Of one photo: rotation (3, 3), centre (3,), which marks (n,) agree and their square sum of misses."""
+
+    rotation: FloatArray
+    centre_m: FloatArray
+    agree: BoolArray
+    miss: float
+
+
 def in_camera(marks: MarkSet, block: Block) -> FloatArray:
     """Points of all marks in their cameras (n, 3)."""
     offset = block.points_m[marks.point] - block.centres_m[marks.photo]
@@ -110,11 +121,24 @@ def resected(marks: MarkSet, camera: BrownCamera, seed: int = 0) -> tuple[Block,
     threshold = _RESECTION_SHARE * camera.width / camera.f_px
     for photo in range(k):
         mine = np.flatnonzero((marks.photo == photo) & marks.control[marks.point])
-        rays = camera.unproject(marks.pixels[mine])
+        rays = np.ascontiguousarray(camera.unproject(marks.pixels[mine]))
+        points = np.ascontiguousarray(marks.points_m[marks.point[mine]])
+        tries = (_pose(points, rays, chosen, threshold) for chosen in _samples(points, rays, threshold, seed))
+        best = max(filter(None, tries), key=lambda pose: (pose.agree.sum(), -pose.miss), default=None)
+        if best is None or best.agree.sum() < 4:
+            raise AlignmentError(f"{photo}")
+        rotations[photo], centres[photo], agree[mine] = best.rotation, best.centre_m, best.agree
+    return Block(camera, rotations, centres, marks.points_m.copy()), agree
+
+
+def _samples(points_m: FloatArray, rays: FloatArray, threshold: float, seed: int) -> Iterator[IntArray]:
+    """Which of a photo's marks to try to place it by."""
+    every = np.arange(len(points_m))
+    if len(every) > 5:
         cv2.setRNGSeed(seed)
-        found, turn, shift, inliers = cv2.solvePnPRansac(
-            np.ascontiguousarray(marks.points_m[marks.point[mine]]),
-            np.ascontiguousarray(rays),
+        found, _, _, inliers = cv2.solvePnPRansac(
+            points_m,
+            rays,
             np.eye(3),
             np.zeros(4),
             iterationsCount=500,
@@ -122,12 +146,31 @@ def resected(marks: MarkSet, camera: BrownCamera, seed: int = 0) -> tuple[Block,
             confidence=0.9999,
             flags=cv2.SOLVEPNP_SQPNP,
         )
-        if not found or inliers is None or len(inliers) < 4:
-            raise AlignmentError(f"{photo}")
-        rotations[photo] = cv2.Rodrigues(turn)[0]
-        centres[photo] = -(rotations[photo].T @ shift).ravel()
-        agree[mine[inliers.ravel()]] = True
-    return Block(camera, rotations, centres, marks.points_m.copy()), agree
+        if found and inliers is not None and len(inliers) >= 4:
+            yield np.asarray(inliers.ravel(), np.int64)
+    elif len(every) >= 4:
+        # OpenCV's RANSAC takes four or five as they are, by methods that fail where they lie in a plane.
+        yield every
+        if len(every) == 5:
+            yield from (np.delete(every, i) for i in every)
+
+
+def _pose(points_m: FloatArray, rays: FloatArray, chosen: IntArray, threshold: float) -> _Pose | None:
+    """A photo placed by its ``chosen`` marks; None where they cannot (all on one line)."""
+    own = points_m[chosen], rays[chosen], np.eye(3), np.zeros(4)
+    try:
+        found, turn, shift = cv2.solvePnP(*own, flags=cv2.SOLVEPNP_SQPNP)
+    except cv2.error:
+        return None
+    if not found:
+        return None
+    turn, shift = cv2.solvePnPRefineLM(*own, turn, shift)
+    rotation = np.asarray(cv2.Rodrigues(turn)[0], float)
+    local = points_m @ rotation.T + shift.ravel()
+    front = local[:, 2] > 1e-6
+    miss = np.linalg.norm(local[:, :2] / np.where(front, local[:, 2], 1.0)[:, None] - rays, axis=1)
+    agree = front & (miss < threshold)
+    return _Pose(rotation, -(rotation.T @ shift).ravel(), agree, float(np.sum(miss[agree] ** 2)))
 
 
 def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray) -> Fit:

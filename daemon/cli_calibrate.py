@@ -40,6 +40,7 @@ from calib.photos import collect, read_photos
 from calib.photos.sort import require_block
 from calib.reference_file import write_reference_file
 from calib.references import check_saving, save_reference
+from calib.scan import SCAN_RADIUS_M
 from calib.targets import (
     DETECTED_SIGMA_PX,
     Detector,
@@ -50,21 +51,26 @@ from calib.targets import (
     tag_detector,
 )
 from calib.wording import camera_name, path_text, photos_given
+from daemon.cli_mark import (
+    FocalOption,
+    PhotosArgument,
+    ScanOption,
+    ScanRadiusOption,
+    mark_command,
+    scanned,
+)
 from daemon.output import console, table, write_stdout
 from daemon.progress import progress_line
 from daemon.terminal import paragraph, print_findings, print_headline
 
 app = typer.Typer(
-    help="Calibrate a camera on site: on a flat wall or from any convergent flight.",
+    help="Calibrate a camera on site: on a flat wall, from any convergent flight or on control points.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 DEFAULT_OUT = Path("fieldcal-out")
 REPORT_HTML, REPORT_JSON, REFERENCE_JSON = "calibration.html", "calibration.json", "reference.json"
 
-PhotosArgument = Annotated[
-    list[Path], typer.Argument(metavar="PHOTOS...", help="Photos, or folders of photos.", readable=False)
-]
 NameOption = Annotated[
     str | None, typer.Option(help="Name in your store (default: camera and serial number).")
 ]
@@ -182,6 +188,9 @@ def _show(made: Calibration, wanted: _Wanted, saved: str | None) -> None:
     say.print(Text(f"Report: {path_text(wanted.out / REPORT_HTML)}"), soft_wrap=True)
 
 
+app.command("mark")(mark_command)
+
+
 @app.command()
 def control(
     photos: PhotosArgument,
@@ -204,9 +213,9 @@ def control(
         Path | None,
         typer.Option(metavar="FILE", help="Points: CSV (default: those in the file of marks)."),
     ] = None,
-    focal_px: Annotated[
-        float | None, typer.Option(metavar="PX", help="Focal length to start from (default: the photos').")
-    ] = None,
+    scan: ScanOption = None,
+    scan_radius: ScanRadiusOption = SCAN_RADIUS_M,
+    focal_px: FocalOption = None,
     mark_sigma_px: Annotated[
         float | None,
         typer.Option(
@@ -233,9 +242,12 @@ def control(
     wanted = _Wanted(name, out, temperature, json_to, quiet)
     if name is not None:
         check_saving(name)
+    if board is not None and scan is not None:
+        raise InputError("A board brings its own points; leave --scan away.")
     found_marks, surveyed, detect = _marks_and_points(marks, points, board, tags)
     hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
     with progress_line(hidden, "reading metadata") as report:
+        surveyed, remarks = scanned(surveyed, scan, scan_radius, report)
         files = collect(photos)
         read, bad = read_photos(files, lambda done: report("reading metadata", done, len(files)))
         if not read:
@@ -254,7 +266,7 @@ def control(
         raise InputError("The photos do not state their focal length; give it with --focal-px.")
     if not 0.1 < start / kept[0].camera.width < 100:
         raise InputError(f"{start:g} px is no focal length of photos {kept[0].camera.width} px wide.")
-    made = calibrate_control(marked, kept, chosen, start, notes)
+    made = calibrate_control(marked, kept, chosen, start, (*remarks, *notes))
     saving = wanted.name or default_name(kept[0].camera)
     check_saving(saving)
     sigma = 100 * math.sqrt(made.fit.covariance[0, 0]) / made.camera.f_px
