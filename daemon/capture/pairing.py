@@ -10,6 +10,7 @@ import numpy as np
 from daemon.capture.alignment import LOG_PAIR, P_GAP, Aligned, Cells, FloatArray, align, coincident
 from daemon.capture.clocks import (
     DRIFT_SIGMA,
+    MAX_JITTER_S,
     Clock,
     Times,
     candidate_clocks,
@@ -257,11 +258,11 @@ def _with_neighbours(
 ) -> list[_Fit]:
     """Also the clocks one usual interval beside the best, until the best lies between two that are worse.
 
-    Where the interval is about as long as the photos' times are coarse, the search by nearest photos can
-    settle on a clock that is one photo off and pass the right one over.
+    Where the interval is not much longer than what the photos' times are off by, the search by nearest photos
+    can settle on a clock that is one photo off and pass the right one over.
     """
     step_s = float(np.median(np.diff(times.trigger_s))) if len(times.trigger_s) > 1 else 0.0
-    coarse_s = float(times.resolution_s.max()) + DRIFT_SIGMA * float(np.ptp(times.trigger_s))
+    coarse_s = float(times.resolution_s.max()) + DRIFT_SIGMA * float(np.ptp(times.trigger_s)) + MAX_JITTER_S
     if not 0 < step_s < _COARSE_STEPS * coarse_s:
         return fits
     found, done = list(fits), set[float]()
