@@ -251,9 +251,8 @@ def control(
         if not read:
             raise InputError(f"No photo can be read ({bad[0].path}: {bad[0].reason}).")
         if detect is not None:
-            paths = [photo.path for photo in read]
             found_marks = find_targets(
-                paths, detect, lambda done: report("looking for targets", done, len(paths))
+                read, detect, lambda done: report("looking for targets", done, len(read))
             )
     usual = MARK_SIGMA_PX if detect is None else DETECTED_SIGMA_PX
     marked, kept, chosen, notes = prepare(
