@@ -5,6 +5,7 @@ Small and dense: some dozens of photos and points. Least squares by Levenberg-Ma
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -18,6 +19,8 @@ from calib.errors import AlignmentError
 from calib.solution import IntArray
 
 BoolArray = NDArray[np.bool_]
+#: rotation_cam_from_world (3, 3), centre_m (3,).
+Pose = tuple[FloatArray, FloatArray]
 #: A resection whose marks miss by more than this share of the image width is not believed.
 _RESECTION_SHARE = 0.02
 
@@ -98,8 +101,13 @@ def residuals_px(marks: MarkSet, block: Block) -> FloatArray:
     return np.asarray(marks.pixels - block.camera.project(local[:, :2] / depth[:, None]))
 
 
-def resected(marks: MarkSet, camera: BrownCamera, seed: int = 0) -> tuple[Block, BoolArray]:
+def resected(
+    marks: MarkSet, camera: BrownCamera, seed: int = 0, starts: Mapping[int, Pose] | None = None
+) -> tuple[Block, BoolArray]:
     """Poses from the control points of each photo, and which marks agree with them (n,).
+
+    ``starts``: poses known otherwise (rotation_cam_from_world, centre_m), by the photos' indices; they are
+    only made better, so that few marks are enough.
 
     Raises:
         AlignmentError: a photo cannot be placed; its index is in the message's photo number.
@@ -111,6 +119,12 @@ def resected(marks: MarkSet, camera: BrownCamera, seed: int = 0) -> tuple[Block,
     for photo in range(k):
         mine = np.flatnonzero((marks.photo == photo) & marks.control[marks.point])
         rays = camera.unproject(marks.pixels[mine])
+        if starts is not None and photo in starts:
+            rotations[photo], centres[photo], near = _improved(
+                marks.points_m[marks.point[mine]], rays, starts[photo], threshold
+            )
+            agree[mine[near]] = True
+            continue
         cv2.setRNGSeed(seed)
         found, turn, shift, inliers = cv2.solvePnPRansac(
             np.ascontiguousarray(marks.points_m[marks.point[mine]]),
@@ -128,6 +142,25 @@ def resected(marks: MarkSet, camera: BrownCamera, seed: int = 0) -> tuple[Block,
         centres[photo] = -(rotations[photo].T @ shift).ravel()
         agree[mine[inliers.ravel()]] = True
     return Block(camera, rotations, centres, marks.points_m.copy()), agree
+
+
+def _improved(
+    points_m: FloatArray, rays: FloatArray, start: Pose, threshold: float
+) -> tuple[FloatArray, FloatArray, BoolArray]:
+    """A pose moved until its points (n, 3) agree with their rays (n, 2), and which of them do."""
+    rotation, centre = start
+    turn, shift = cv2.solvePnPRefineLM(
+        np.ascontiguousarray(points_m),
+        np.ascontiguousarray(rays),
+        np.eye(3),
+        np.zeros(4),
+        cv2.Rodrigues(rotation)[0],
+        -rotation @ centre,
+    )
+    better, offset = np.asarray(cv2.Rodrigues(turn)[0], float), np.ravel(np.asarray(shift, float))
+    local = points_m @ better.T + offset
+    near = np.linalg.norm(local[:, :2] / local[:, 2:] - rays, axis=1) < threshold
+    return better, -better.T @ offset, near
 
 
 def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray) -> Fit:

@@ -22,6 +22,8 @@ from calib.solution import Network, Solution
 FLATNESS_LIMIT_PERCENT = 0.1
 #: A reference must be known four times better than what it is to judge: 1.96 sigma within 0.1 %.
 REFERENCE_SIGMA_PERCENT = 0.05
+#: What that is at the edge of [C&D]'s pictures of 4000 px; a thermal camera's pixel is coarser.
+REFERENCE_SIGMA_EDGE_PX = 1.0
 #: [C&D] methods: 20-30 photos, axes at about 45 degrees to the wall, overlap above 80 %.
 PHOTOS_WANTED, PHOTOS_LEAST = 20, 8
 SIDE_DEG, STEEP_SIDE_DEG = 20.0, 60.0
@@ -220,6 +222,15 @@ def wall_overlap(solution: Solution, flatness: Flatness) -> Finding:
             State.UNKNOWN, usual, f"{text}; {OVERLAP_WANTED_PERCENT:g} % are better (shorter steps)."
         )
     return finding(State.PASS, usual, f"{text}.")
+
+
+def reference_limit_percent(width_px: int) -> float:
+    """How well f must be known for a reference on control points, in percent, one sigma.
+
+    0.05 % of [C&D]'s pictures is a pixel at their edge; cameras of fewer pixels need no more than that of
+    their own.
+    """
+    return max(REFERENCE_SIGMA_PERCENT, 100 * REFERENCE_SIGMA_EDGE_PX / (width_px / 2))
 
 
 def focal_sigma(e: Evidence) -> Finding:

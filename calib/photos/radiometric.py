@@ -142,14 +142,14 @@ def _deep_pixels(path: Path) -> Counts | None:
         return None
     if image is None or image.dtype == np.uint8:
         return None
-    return np.asarray(image, np.uint16 if image.dtype == np.uint16 else np.float32)
+    return np.asarray(image, np.uint16) if image.dtype == np.uint16 else np.asarray(image, np.float32)
 
 
 def stretched(counts: Counts, levels: tuple[float, float]) -> NDArray[np.uint8]:
     """8-bit image: ``levels`` (dark, bright) become 0 and 255; what lies beyond is cut off."""
     dark, bright = levels
     scaled = (np.nan_to_num(counts.astype(np.float32), nan=dark) - dark) * (255 / max(bright - dark, 1e-6))
-    return np.clip(scaled + 0.5, 0, 255).astype(np.uint8)
+    return np.asarray(np.clip(scaled + 0.5, 0, 255), np.uint8)
 
 
 def grey(photo: Photo) -> NDArray[np.uint8] | None:
