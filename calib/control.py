@@ -79,7 +79,8 @@ class ControlCalibration:
     @property
     def poses(self) -> Poses:
         """Of the photos, in the points' own frame."""
-        return Poses(self.fit.block.rotations, self.fit.block.centres_m + self.origin_m)
+        block = self.fit.block
+        return Poses(block.rotations, block.centres_m + self.origin_m, self.fit.pose_covariance)
 
     @property
     def camera(self) -> BrownCamera:

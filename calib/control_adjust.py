@@ -65,7 +65,8 @@ class Fit:
 
     ``residuals_px`` (n, 2) of all marks, measured minus computed; ``cofactors`` (n, 2, 2): their covariance
     in units of the marks' own (less than 1 for marks that took part, more for others). ``chi2``: weighted
-    square sum.
+    square sum. ``pose_covariance`` (6 k, 6 k), scaled by sigma0: of each photo the turn on the camera's side
+    (rotation vector), then the centre in m.
     """
 
     block: Block
@@ -74,6 +75,7 @@ class Fit:
     cofactors: FloatArray
     chi2: float
     freedom: int
+    pose_covariance: FloatArray
 
     def standardised(self) -> FloatArray:
         """Length (n,) of each mark's residual in sigmas of one px of noise: Rayleigh's where it is good."""
@@ -106,8 +108,8 @@ def resected(
 ) -> tuple[Block, BoolArray]:
     """Poses from the control points of each photo, and which marks agree with them (n,).
 
-    ``starts``: poses known otherwise (rotation_cam_from_world, centre_m), by the photos' indices; they are
-    only made better, so that few marks are enough.
+    ``starts``: poses known otherwise (rotation_cam_from_world, centre_m), by the photos' indices, for photos
+    with too few marks to be sure of a resection.
 
     Raises:
         AlignmentError: a photo cannot be placed; its index is in the message's photo number.
@@ -120,9 +122,10 @@ def resected(
         mine = np.flatnonzero((marks.photo == photo) & marks.control[marks.point])
         rays = camera.unproject(marks.pixels[mine])
         if starts is not None and photo in starts:
-            rotations[photo], centres[photo], near = _improved(
-                marks.points_m[marks.point[mine]], rays, starts[photo], threshold
-            )
+            rotations[photo], centres[photo] = starts[photo]
+            near = _near(marks.points_m[marks.point[mine]], rays, *starts[photo], threshold)
+            if near.sum() < 4:
+                raise AlignmentError(f"{photo}")
             agree[mine[near]] = True
             continue
         cv2.setRNGSeed(seed)
@@ -144,23 +147,13 @@ def resected(
     return Block(camera, rotations, centres, marks.points_m.copy()), agree
 
 
-def _improved(
-    points_m: FloatArray, rays: FloatArray, start: Pose, threshold: float
-) -> tuple[FloatArray, FloatArray, BoolArray]:
-    """A pose moved until its points (n, 3) agree with their rays (n, 2), and which of them do."""
-    rotation, centre = start
-    turn, shift = cv2.solvePnPRefineLM(
-        np.ascontiguousarray(points_m),
-        np.ascontiguousarray(rays),
-        np.eye(3),
-        np.zeros(4),
-        cv2.Rodrigues(rotation)[0],
-        -rotation @ centre,
-    )
-    better, offset = np.asarray(cv2.Rodrigues(turn)[0], float), np.ravel(np.asarray(shift, float))
-    local = points_m @ better.T + offset
-    near = np.linalg.norm(local[:, :2] / local[:, 2:] - rays, axis=1) < threshold
-    return better, -better.T @ offset, near
+def _near(
+    points_m: FloatArray, rays: FloatArray, rotation: FloatArray, centre_m: FloatArray, threshold: float
+) -> BoolArray:
+    """Which points (n, 3) a pose puts near their rays (n, 2)."""
+    local = (points_m - centre_m) @ rotation.T
+    apart = np.linalg.norm(local[:, :2] - rays * local[:, 2:], axis=1)
+    return np.asarray((local[:, 2] > 0) & (apart < threshold * local[:, 2]))
 
 
 def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray) -> Fit:
@@ -201,7 +194,8 @@ def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray)
         block, right, design, damping = trial, new_right, new_design, max(damping / 10, 1e-14)
         if gain < 1e-9 * max(cost, 1e-9) and damping < 1e-6:
             break
-    scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    scale = np.linalg.norm(design, axis=0)
+    scale[scale == 0] = 1.0  # A photo that lost all its marks.
     inverse = scipy.linalg.pinvh((design / scale).T @ (design / scale)) / np.outer(scale, scale)
     freedom = rows - size
     covariance = np.zeros((len(BROWN_NAMES), len(BROWN_NAMES)))
@@ -212,7 +206,8 @@ def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray)
     carried = (rows_of.reshape(2 * len(marks), -1) @ inverse).reshape(rows_of.shape)
     hat = carried @ rows_of.transpose(0, 2, 1)
     cofactors = np.eye(2) + np.where(used, -1.0, 1.0)[:, None, None] * hat
-    return Fit(block, covariance, residuals_px(marks, block), cofactors, cost, freedom)
+    poses = inverse[: 6 * k, : 6 * k] * cost / freedom
+    return Fit(block, covariance, residuals_px(marks, block), cofactors, cost, freedom, poses)
 
 
 def _moved(block: Block, step: FloatArray, columns: BoolArray, loose: IntArray) -> Block:

@@ -12,19 +12,21 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib.camera import BROWN_NAMES
 from calib.control import (
     LEAST_PLACED_MARKS,
     MARK_SIGMA_PX,
     POINT_SIGMA_M,
     ControlCalibration,
     calibrate_control,
+    free_parameters,
     prepare,
     with_checks,
 )
-from calib.control_adjust import Pose, in_camera, residuals_px
+from calib.control_adjust import Pose, adjust, in_camera, residuals_px
 from calib.control_files import ControlPoint, Mark
 from calib.errors import AlignmentError, InputError
-from calib.mount import Mount, Mounted, same_moment, solve_mount
+from calib.mount import Mount, Mounted, Poses, same_moment, solve_mount
 from calib.photos.cameras import camera_groups
 from calib.photos.photo import Photo
 from calib.photos.radiometric import counts_read
@@ -202,7 +204,18 @@ def _mount(made: ControlCalibration, first: ControlCalibration) -> Mount | None:
         return None
     a, b = (list(side) for side in zip(*pairs, strict=True))
     depth = in_camera(made.marks, made.fit.block)[:, 2]
-    return solve_mount(first.poses.of(a), made.poses.of(b), float(np.median(depth)))
+    return solve_mount(_loose(first).of(a), _loose(made).of(b), float(np.median(depth)))
+
+
+def _loose(made: ControlCalibration) -> Poses:
+    """The poses, with their covariance under a free principal point: one that is held turns all photos."""
+    free = {*free_parameters(made), "cx", "cy"}
+    used = made.used & made.marks.control[made.marks.point]
+    try:
+        fit = adjust(made.marks, made.fit.block, tuple(name for name in BROWN_NAMES if name in free), used)
+    except AlignmentError:  # Too few marks for two parameters more.
+        return made.poses
+    return replace(made.poses, covariance=fit.pose_covariance)
 
 
 def _placed_through(group: Sequence[Photo], first: ControlCalibration, mount: Mount) -> dict[str, Pose]:

@@ -25,15 +25,21 @@ SCATTER_DEG, SCATTER_SHARE = 2.0, 0.04
 
 @dataclass(frozen=True)
 class Poses:
-    """Poses of k photos: rotations_cam_from_world (k, 3, 3), centres_m (k, 3), in the points' frame."""
+    """Poses of k photos: rotations_cam_from_world (k, 3, 3), centres_m (k, 3), in the points' frame.
+
+    ``covariance`` (6 k, 6 k), where known: of each photo the turn on the camera's side, then the centre.
+    """
 
     rotations_cam_from_world: FloatArray
     centres_m: FloatArray
+    covariance: FloatArray | None = None
 
     def of(self, photos: Sequence[int]) -> Poses:
         """Those of some photos, in this order."""
         chosen = np.array(photos, np.intp)
-        return Poses(self.rotations_cam_from_world[chosen], self.centres_m[chosen])
+        rows = (6 * chosen[:, None] + np.arange(6)).ravel()
+        covariance = None if self.covariance is None else self.covariance[np.ix_(rows, rows)]
+        return Poses(self.rotations_cam_from_world[chosen], self.centres_m[chosen], covariance)
 
 
 @dataclass(frozen=True)
@@ -41,23 +47,18 @@ class Mount:
     """How a second camera sits on a first.
 
     ``rotation_second_from_first`` (3, 3); ``offset_m`` (3,) of the second's centre in the first's axes (x
-    right, y down, z ahead). ``scatter_deg`` and ``scatter_m`` (3,): standard deviation of one pair;
-    ``sigma_deg`` and ``sigma_m`` (3,): of the mean, about and along the same axes.
+    right, y down, z ahead). ``scatter_deg`` and ``scatter_m`` (3,): standard deviation of one pair about and
+    along the same axes; ``sigma_deg`` and ``sigma_m`` (3,): of the mean, with what all pairs have in common
+    (the lenses' own errors).
     """
 
     rotation_second_from_first: FloatArray
     offset_m: FloatArray
     scatter_deg: FloatArray
     scatter_m: FloatArray
+    sigma_deg: FloatArray
+    sigma_m: FloatArray
     pairs: int
-
-    @property
-    def sigma_deg(self) -> FloatArray:
-        return np.asarray(self.scatter_deg / np.sqrt(self.pairs))
-
-    @property
-    def sigma_m(self) -> FloatArray:
-        return np.asarray(self.scatter_m / np.sqrt(self.pairs))
 
     def place(self, first: Poses) -> Poses:
         """Where the second camera is when the first has these poses."""
@@ -130,4 +131,35 @@ def solve_mount(first: Poses, second: Poses, distance_m: float) -> Mount | None:
     scatter_m = np.sqrt(np.sum((offsets - offset) ** 2, axis=0) / freedom)
     if scatter_deg.max() > SCATTER_DEG or scatter_m.max() > SCATTER_SHARE * distance_m:
         return None
-    return Mount(mean, offset, scatter_deg, scatter_m, int(good.sum()))
+    pairs = int(good.sum())
+    chosen = np.flatnonzero(good).tolist()
+    formal = _formal_sigmas(mean, first.of(chosen), second.of(chosen))
+    sigma_deg = np.maximum(scatter_deg / np.sqrt(pairs), np.degrees(formal[:3]))
+    return Mount(
+        mean,
+        offset,
+        scatter_deg,
+        scatter_m,
+        sigma_deg,
+        np.maximum(scatter_m / np.sqrt(pairs), formal[3:]),
+        pairs,
+    )
+
+
+def _formal_sigmas(rotation_second_from_first: FloatArray, first: Poses, second: Poses) -> FloatArray:
+    """Of the mean's turn (rad) and offset (m) in the first camera's axes (6,), from the poses' covariances.
+
+    Pairs share their lenses' errors, which no scatter among them shows. Zero where none are known.
+    """
+    if first.covariance is None or second.covariance is None:
+        return np.zeros(6)
+    k = len(first.centres_m)
+    variance = np.zeros(6)
+    for poses, turn in ((first, np.eye(3)), (second, rotation_second_from_first.T)):
+        mean = np.zeros((6, 6 * k))
+        for i in range(k):
+            mean[:3, 6 * i : 6 * i + 3] = turn / k
+            mean[3:, 6 * i + 3 : 6 * i + 6] = first.rotations_cam_from_world[i] / k
+        assert poses.covariance is not None
+        variance += np.einsum("ij,jk,ik->i", mean, poses.covariance, mean, optimize=True)
+    return np.asarray(np.sqrt(np.maximum(variance, 0.0)))
