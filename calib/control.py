@@ -393,7 +393,8 @@ def coverage_hint(calibration: ControlCalibration) -> str | None:
     if not empty:
         return None
     return (
-        f"The {' and '.join(empty)} edge{'s' if len(empty) > 1 else ''} of the sensor hold hardly any marks: "
+        f"The {' and '.join(empty)} edge{'s' if len(empty) > 1 else ''} of the sensor "
+        f"hold{'' if len(empty) > 1 else 's'} hardly any marks: "
         "the distortion there is a guess. Take photos nearer, or with the object towards that edge."
     )
 

@@ -215,8 +215,8 @@ def mount_words(mounted: Mounted) -> tuple[str, ...]:
     ]
     if mounted.placed:
         said.append(
-            f"{len(mounted.placed)} photos with few marks were placed through it: "
-            f"{', '.join(mounted.placed[:5])}{' ...' if len(mounted.placed) > 5 else ''}."
+            f"Photos with few marks that were placed through it: {', '.join(mounted.placed[:5])}"
+            f"{' ...' if len(mounted.placed) > 5 else ''}."
         )
     return tuple(said)
 
