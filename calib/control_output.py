@@ -268,6 +268,7 @@ def render_control(made: ControlCalibration, saved_as: str | None = None) -> str
         _subsets(made),
         figures_html(_figures(made)),
         _parameters(made),
+        _mount_section(made),
         _provenance(made, saved_as),
     ]
     return html_page(f"CALIBRATED: {camera_name(made.photos[0].camera)}", "\n".join([*parts, "</main>"]))
@@ -275,8 +276,6 @@ def render_control(made: ControlCalibration, saved_as: str | None = None) -> str
 
 def _blunders(made: ControlCalibration) -> str:
     said = [*made.blunders, *made.notes]
-    if made.mounted is not None:
-        said += mount_words(made.mounted)
     hint = coverage_hint(made)
     if hint is not None:
         said.append(hint)
@@ -375,6 +374,31 @@ def _parameters(made: ControlCalibration) -> str:
         ("Parameter", "This calibration"),
         rows,
     )
+
+
+def _mount_section(made: ControlCalibration) -> str:
+    if made.mounted is None:
+        return ""
+    mounted, mount = made.mounted, made.mounted.mount
+    rows = [
+        (f"{side}, mm", quantity(1000 * float(v), 1000 * float(s), "", 2))
+        for side, v, s in zip(("To its right", "Down", "Ahead"), mount.offset_m, mount.sigma_m, strict=True)
+    ]
+    turn = Rotation.from_matrix(mount.rotation_second_from_first).as_rotvec(degrees=True)
+    rows += [
+        (f"Turned about {axis}, degrees", quantity(float(v), float(s), "", 2))
+        for axis, v, s in zip(("its right", "down", "ahead"), turn, mount.sigma_deg, strict=True)
+    ]
+    rows += [
+        (
+            "One pair scatters by",
+            f"{1000 * mount.scatter_m.max():.0f} mm, {mount.scatter_deg.max():.2f} degrees",
+        ),
+        ("Marks missed through it", f"{mounted.miss_px:.1f} px rms"),
+        ("Photos placed through it", ", ".join(mounted.placed) or "none needed it"),
+    ]
+    title = f"Mounted on {mounted.on}, from {mount.pairs} pairs of photos"
+    return facts_section("mount", title, rows)
 
 
 def _provenance(made: ControlCalibration, saved_as: str | None) -> str:
