@@ -99,8 +99,8 @@ def page(rows: Sequence[Row]) -> str:
         "",
         "## Accepted, caught",
         "",
-        "Accepted: the whole calibration. Caught: not accepted. In brackets 95 % intervals. The bend is stated "
-        f"at the rim of the measured points, where {RIM_SHARE * BEND_PERCENT:.3f} % of the "
+        "Accepted: the whole calibration. Caught: not accepted. In brackets 95 % intervals. The bend is "
+        f"stated at the rim of the measured points, where {RIM_SHARE * BEND_PERCENT:.3f} % of the "
         f"{BEND_PERCENT:g} % are left; its errors in sigmas are against that.",
         "",
         "| wall | seeds | accepted | caught | bend flagged | bend %, mean ± spread | rms, sigmas |",

@@ -20,6 +20,7 @@ from daemon.output import write_stdout
 
 CONTROL_HTML, CONTROL_JSON, REFERENCE_JSON = "control.html", "control.json", "reference.json"
 EXPECTED_CSV = "expected-marks.csv"
+_EARLIER = (REFERENCE_JSON, EXPECTED_CSV)
 
 
 @dataclass(frozen=True)
@@ -62,6 +63,8 @@ def keep_campaign(
             folder = out if alone else out / camera
             with output_folder(folder):
                 kept.append(KeptControl(one, folder, _keep(one, each, folder, temperature_c)))
+        for photo, _ in campaign.failed:
+            _clear(out / default_name(photo.camera), (CONTROL_HTML, CONTROL_JSON, *_EARLIER))
         failed = [f"{camera_name(photo.camera)}: {why}" for photo, why in campaign.failed]
         data = campaign_json(made, [one.saved_as for one in kept], failed)
         if json_to == "-":
@@ -81,11 +84,15 @@ def _distinct(names: list[str]) -> list[str]:
     return found
 
 
+def _clear(folder: Path, names: tuple[str, ...]) -> None:
+    """Files of an earlier try must not be taken for this one's."""
+    for name in names:
+        (folder / name).unlink(missing_ok=True)
+
+
 def _keep(made: ControlCalibration, name: str, folder: Path, temperature_c: float | None) -> str | None:
     saved = None
-    # Those of an earlier try must not stand beside this report.
-    for earlier in (REFERENCE_JSON, EXPECTED_CSV):
-        (folder / earlier).unlink(missing_ok=True)
+    _clear(folder, _EARLIER)
     if sigma_percent(made) <= reference_limit_percent(made.camera.width):
         reference = control_reference(made, name, temperature_c)
         write_reference_file(reference, folder / REFERENCE_JSON)

@@ -132,8 +132,9 @@ def _what_instead(head: bytes) -> str:
 
 def _jpeg(path: Path, file: BinaryIO) -> Container:
     size = os.fstat(file.fileno()).st_size
-    exif = xmp = app3 = b""
-    flir: dict[int, bytes] = {}
+    exif = xmp = b""
+    flir: list[tuple[int, bytes]] = []
+    app3: list[bytes] = []
     frame: tuple[int, int] | None = None
     file.seek(2)
     while True:
@@ -156,9 +157,9 @@ def _jpeg(path: Path, file: BinaryIO) -> Container:
                 xmp += payload[len(_XMP) :]
             elif payload.startswith(_FLIR) and len(payload) > 8:
                 # Number of the chunk; some programs write zero into all of them.
-                flir[payload[6]] = flir.get(payload[6], b"") + payload[8:]
+                flir.append((payload[6], payload[8:]))
         elif marker == 0xE3:
-            app3 += file.read(length)
+            app3.append(file.read(length))
         elif marker in _FRAMES:
             fields = file.read(min(length, 5))
             if len(fields) == 5:
@@ -170,9 +171,9 @@ def _jpeg(path: Path, file: BinaryIO) -> Container:
     if frame is None or 0 in frame:
         raise PhotoError(f"{path} is damaged: the JPEG does not say its size; copy it again.")
     fingerprint = _scan_fingerprint(path, file, start, size)
-    joined = b"".join(flir[number] for number in sorted(flir))
+    joined = b"".join(part for _, part in sorted(flir, key=lambda chunk: chunk[0]))
     tags = read_exif(io.BytesIO(exif))
-    return Container(path, "JPEG", *frame, tags, xmp, fingerprint, joined, app3)
+    return Container(path, "JPEG", *frame, tags, xmp, fingerprint, joined, b"".join(app3))
 
 
 def _next_marker(file: BinaryIO) -> int | None:
@@ -233,6 +234,9 @@ def _by_pillow(path: Path, file: BinaryIO) -> Container:
         raise PhotoError(f"{path} is larger than a photo can be; leave it out.") from error
     except GARBAGE as error:
         raise PhotoError(f"{path} is damaged: its header cannot be read; copy it again.") from error
+    if name == "PNG":
+        file.seek(24)  # Bit depth in the header, which Pillow does not tell of colour.
+        bits = max(file.read(1), default=8)
     size = file.seek(0, io.SEEK_END)
     file.seek(max(0, size - 4096))
     tail = file.read()
@@ -251,7 +255,7 @@ def _bits(image: Image.Image) -> int:
     if image.mode == "F":
         return 32
     depth = getattr(image, "tag_v2", {}).get(258)
-    return int(depth[0]) if depth else 16 if image.mode.startswith("I") else 8
+    return int(depth[0]) if depth else 8
 
 
 def _strip_ends(tags: Mapping[int, Any]) -> list[int]:

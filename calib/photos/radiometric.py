@@ -221,8 +221,9 @@ def counts_read(photos: Sequence[Photo]) -> list[str]:
             )
         elif found.levels is not None:
             dark, bright = found.levels
+            what = "raw counts" if found.hidden else "values"
             said.append(
-                f"{count} photos are {found.kind}: their raw counts are used, {dark:.5g} as black and "
+                f"{count} photos are {found.kind}: their {what} are used, {dark:.5g} as black and "
                 f"{bright:.5g} as white in all of them."
             )
     return said
