@@ -164,7 +164,7 @@ def _rms(values: np.ndarray) -> float:
 
 def _share(hits: int, n: int) -> str:
     low, high = wilson(hits, n)
-    return f"{100 * hits / n:.0f} % ({low:.0f}-{high:.0f})"
+    return f"{100 * hits / n:.0f} % ({max(low, 0.0):.0f}-{high:.0f})"
 
 
 def main() -> None:

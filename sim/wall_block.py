@@ -25,9 +25,8 @@ from sim.pattern import random_pattern
 class WallOptions:
     """``advised``: photographed as the manual advises, ``pairs`` not counting; otherwise [C&D]'s level pairs.
     ``bend_percent``: height of the wall's middle over its ends, percent of the distance; ``rough_m``: rms of
-    its surface. ``match_share``: probability that a view of a spot is kept. ``upright``: every so many photos
-    is taken with the camera turned by 90 degrees (0: none). ``one_sided``: pairs from one side only.
-    ``pattern_px``: non-Brown part of the lens at 4000 px width."""
+    its surface. ``match_share``: probability that a view of a spot is kept. ``one_sided``: pairs from one side
+    only. ``pattern_px``: non-Brown part of the lens at 4000 px width."""
 
     pairs: int = PAIRS
     advised: bool = False
@@ -36,7 +35,6 @@ class WallOptions:
     rough_m: float = 0.002
     noise_px: float = 0.3
     match_share: float = 0.5
-    upright: int = 0
     one_sided: bool = False
     pattern_px: float = 0.5
 
@@ -54,10 +52,7 @@ def wall_outcome(seed: int, options: WallOptions | None = None, camera: BrownCam
     if options.one_sided:
         rotations, centres = rotations[::2], centres[::2]
     k = len(centres)
-    turned = np.zeros((k, 3))
-    if options.upright:
-        turned[options.upright // 2 :: options.upright, 2] = np.pi / 2
-    rotations = rotation_exp(turned) @ rotation_exp(np.radians(2.0) * rng.normal(size=(k, 3))) @ rotations
+    rotations = rotation_exp(np.radians(2.0) * rng.normal(size=(k, 3))) @ rotations
     centres = centres + 0.3 * rng.normal(size=(k, 3))
     spots = rng.uniform(-0.5, 0.5, (options.points, 2)) * [wall.width_m, wall.height_m]
     bend = -options.bend_percent / 100 * DISTANCE_M * (2 * spots[:, 0] / wall.width_m) ** 2
