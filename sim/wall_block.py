@@ -25,8 +25,8 @@ from sim.pattern import random_pattern
 class WallOptions:
     """``advised``: photographed as the manual advises, ``pairs`` not counting; otherwise [C&D]'s level pairs.
     ``bend_percent``: height of the wall's middle over its ends, percent of the distance; ``rough_m``: rms of
-    its surface. ``match_share``: probability that a view of a spot is kept. ``one_sided``: pairs from one side
-    only. ``pattern_px``: non-Brown part of the lens at 4000 px width."""
+    its surface. ``match_share``: probability that a view of a spot is kept. ``one_sided``: pairs from one
+    side only. ``pattern_px``: non-Brown part of the lens at 4000 px width."""
 
     pairs: int = PAIRS
     advised: bool = False
