@@ -88,7 +88,11 @@ def calibrate_cameras(photos: Sequence[Photo], given: Given) -> Campaign:
     if not made:
         raise errors[0]
     made.sort(key=lambda one: -int(one[0].used.sum()))
+    given_names = {photo.path.name.lower() for photo in photos}
+    lost = sum(mark.photo.lower() not in given_names for mark in given.marks)
     first = made[0][0]
+    if lost:
+        first = replace(first, notes=(*first.notes, f"{lost} marks are in photos that were not given."))
     others = [_beside(one, group, first, _own(given, group)) for one, group in made[1:]]
     return Campaign((first, *others), tuple(failed))
 

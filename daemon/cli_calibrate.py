@@ -224,7 +224,8 @@ def control(
     json_to: JsonOption = None,
     quiet: QuietOption = False,
 ) -> int:
-    """Calibrate on control points, parameters in steps. Exit code 0 done, 3 if f is too vague to keep."""
+    """Calibrate on control points, parameters in steps; two cameras at once are calibrated each for itself.
+    Exit code 0 done, 3 if f is too vague to keep."""
     wanted = _Wanted(name, out, temperature, json_to, quiet)
     if name is not None:
         check_saving(name)

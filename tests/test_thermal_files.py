@@ -18,6 +18,7 @@ from calib.errors import PhotoError
 from calib.photos import read_photo, read_photos
 from calib.photos.photo import Photo
 from calib.photos.radiometric import counts_read, read_counts
+from calib.targets import find_targets, tag_detector
 
 WIDTH, HEIGHT = 320, 256
 
@@ -138,6 +139,20 @@ def test_tiff_of_16_bits(tmp_path: Path) -> None:
     assert len(extract(grays[0], 1.0)) > 300
     Image.fromarray((counts >> 6).astype(np.uint8)).save(tmp_path / "d.tif")
     assert read_photo(tmp_path / "d.tif").radiometric is None
+
+
+def test_a_tag_that_only_the_heat_shows_is_found(tmp_path: Path) -> None:
+    """What looks at pixels looks at the counts."""
+    tags = cv2.aruco.getPredefinedDictionary(cv2.aruco.DICT_4X4_50)
+    counts = np.full((HEIGHT, WIDTH), 7300, np.uint16)
+    tag = cv2.aruco.generateImageMarker(tags, 7, 96)
+    counts[80:176, 100:196] = 7200 + (tag > 0) * 100
+    path = tmp_path / "a.jpg"
+    path.write_bytes(files.flir(np.full((HEIGHT, WIDTH, 3), 90, np.uint8), counts))
+    photos, _ = read_photos([path])
+    (mark,) = find_targets(photos, tag_detector("4X4_50"))
+    assert (mark.photo, mark.point) == ("a.jpg", "7")
+    assert (mark.u_px, mark.v_px) == pytest.approx((148, 128), abs=0.5)
 
 
 def test_damaged_files(tmp_path: Path) -> None:
