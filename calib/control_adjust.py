@@ -5,7 +5,7 @@ Small and dense: some dozens of photos and points. Least squares by Levenberg-Ma
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -19,6 +19,8 @@ from calib.errors import AlignmentError
 from calib.solution import IntArray
 
 BoolArray = NDArray[np.bool_]
+#: rotation_cam_from_world (3, 3), centre_m (3,).
+Pose = tuple[FloatArray, FloatArray]
 #: A resection whose marks miss by more than this share of the image width is not believed.
 _RESECTION_SHARE = 0.02
 
@@ -63,7 +65,8 @@ class Fit:
 
     ``residuals_px`` (n, 2) of all marks, measured minus computed; ``cofactors`` (n, 2, 2): their covariance
     in units of the marks' own (less than 1 for marks that took part, more for others). ``chi2``: weighted
-    square sum.
+    square sum. ``pose_covariance`` (6 k, 6 k), scaled by sigma0: of each photo the turn on the camera's side
+    (rotation vector), then the centre in m.
     """
 
     block: Block
@@ -72,6 +75,7 @@ class Fit:
     cofactors: FloatArray
     chi2: float
     freedom: int
+    pose_covariance: FloatArray
 
     def standardised(self) -> FloatArray:
         """Length (n,) of each mark's residual in sigmas of one px of noise: Rayleigh's where it is good."""
@@ -109,8 +113,13 @@ def residuals_px(marks: MarkSet, block: Block) -> FloatArray:
     return np.asarray(marks.pixels - block.camera.project(local[:, :2] / depth[:, None]))
 
 
-def resected(marks: MarkSet, camera: BrownCamera, seed: int = 0) -> tuple[Block, BoolArray]:
+def resected(
+    marks: MarkSet, camera: BrownCamera, seed: int = 0, starts: Mapping[int, Pose] | None = None
+) -> tuple[Block, BoolArray]:
     """Poses from the control points of each photo, and which marks agree with them (n,).
+
+    ``starts``: poses known otherwise (rotation_cam_from_world, centre_m), by the photos' indices, for photos
+    with too few marks to be sure of a resection.
 
     Raises:
         AlignmentError: a photo cannot be placed; its index is in the message's photo number.
@@ -123,6 +132,13 @@ def resected(marks: MarkSet, camera: BrownCamera, seed: int = 0) -> tuple[Block,
         mine = np.flatnonzero((marks.photo == photo) & marks.control[marks.point])
         rays = np.ascontiguousarray(camera.unproject(marks.pixels[mine]))
         points = np.ascontiguousarray(marks.points_m[marks.point[mine]])
+        if starts is not None and photo in starts:
+            rotations[photo], centres[photo] = starts[photo]
+            near = _miss(points, rays, *starts[photo]) < threshold
+            if near.sum() < 4:
+                raise AlignmentError(f"{photo}")
+            agree[mine[near]] = True
+            continue
         tries = (_pose(points, rays, chosen, threshold) for chosen in _samples(points, rays, threshold, seed))
         best = max(filter(None, tries), key=lambda pose: (pose.agree.sum(), -pose.miss), default=None)
         if best is None or best.agree.sum() < 4:
@@ -166,11 +182,18 @@ def _pose(points_m: FloatArray, rays: FloatArray, chosen: IntArray, threshold: f
         return None
     turn, shift = cv2.solvePnPRefineLM(*own, turn, shift)
     rotation = np.asarray(cv2.Rodrigues(turn)[0], float)
-    local = points_m @ rotation.T + shift.ravel()
+    centre_m = -(rotation.T @ shift).ravel()
+    miss = _miss(points_m, rays, rotation, centre_m)
+    agree = miss < threshold
+    return _Pose(rotation, centre_m, agree, float(np.sum(miss[agree] ** 2)))
+
+
+def _miss(points_m: FloatArray, rays: FloatArray, rotation: FloatArray, centre_m: FloatArray) -> FloatArray:
+    """How far (n,) a pose puts points (n, 3) from their rays (n, 2); infinite behind the camera."""
+    local = (points_m - centre_m) @ rotation.T
     front = local[:, 2] > 1e-6
     miss = np.linalg.norm(local[:, :2] / np.where(front, local[:, 2], 1.0)[:, None] - rays, axis=1)
-    agree = front & (miss < threshold)
-    return _Pose(rotation, -(rotation.T @ shift).ravel(), agree, float(np.sum(miss[agree] ** 2)))
+    return np.where(front, miss, np.inf)
 
 
 def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray) -> Fit:
@@ -211,7 +234,8 @@ def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray)
         block, right, design, damping = trial, new_right, new_design, max(damping / 10, 1e-14)
         if gain < 1e-9 * max(cost, 1e-9) and damping < 1e-6:
             break
-    scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    scale = np.linalg.norm(design, axis=0)
+    scale[scale == 0] = 1.0  # A photo that lost all its marks.
     inverse = scipy.linalg.pinvh((design / scale).T @ (design / scale)) / np.outer(scale, scale)
     freedom = rows - size
     covariance = np.zeros((len(BROWN_NAMES), len(BROWN_NAMES)))
@@ -222,7 +246,8 @@ def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray)
     carried = (rows_of.reshape(2 * len(marks), -1) @ inverse).reshape(rows_of.shape)
     hat = carried @ rows_of.transpose(0, 2, 1)
     cofactors = np.eye(2) + np.where(used, -1.0, 1.0)[:, None, None] * hat
-    return Fit(block, covariance, residuals_px(marks, block), cofactors, cost, freedom)
+    poses = inverse[: 6 * k, : 6 * k] * cost / freedom
+    return Fit(block, covariance, residuals_px(marks, block), cofactors, cost, freedom, poses)
 
 
 def _moved(block: Block, step: FloatArray, columns: BoolArray, loose: IntArray) -> Block:
