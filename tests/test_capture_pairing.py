@@ -187,9 +187,9 @@ def test_a_thousand_photos_in_two_cpu_seconds() -> None:
     assert judge(flight, result)[0] > 0.95 * len(flight.truth)
 
 
-@pytest.mark.parametrize(("seed", "resolution_s"), [(608, 1.0), (740, 0.01)])
+@pytest.mark.parametrize(("seed", "resolution_s"), [(608, 1.0), (740, 0.01), (1311, 1.0)])
 def test_short_intervals_are_not_paired_one_off(seed: int, resolution_s: float) -> None:
-    """Photos every 1.05 s with pauses: the search by nearest photos finds only the clock one photo off."""
+    """Photos every 1.05 s with pauses, or every 1.5 s with many alike lines: wrong clocks nearly fit."""
     one = flight(seed)
     sure = pair(one.triggers, cut(one.shots, resolution_s)).sure_pairs
     assert len(sure) > 100

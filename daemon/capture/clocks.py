@@ -16,6 +16,8 @@ from daemon.capture.records import KnownClock
 #: Drift of a camera's clock against the vehicle's, beforehand.
 DRIFT_SIGMA = 1e-4
 MIN_JITTER_S, START_JITTER_S, MAX_JITTER_S = 0.01, 0.15, 0.4
+#: Exposures are late by so much, one more than another.
+_LATE_S = 0.1
 _MAX_SCREENED, _MAX_KEPT, _KEEP_NATS = 60, 9, 60.0
 #: Differences counted in the offset search at most: thinner triggers beyond.
 _MAX_DIFFERENCES = 2_000_000
@@ -87,44 +89,54 @@ def candidate_clocks(times: Times, known: KnownClock | None) -> list[Clock]:
         differences = differences[np.abs(differences - offset_s) < 5 * known.sigma_s + 1.0]
     if not len(differences):
         return []
-    span = float(np.ptp(times.trigger_s))
-    width = (max(float(times.resolution_s.max()), 0.2) + DRIFT_SIGMA * span) / 2
-    low = float(differences.min())
-    bins = ((differences - low) / width).astype(np.int64)
-    counts = np.bincount(bins, minlength=3).astype(float)
-    sums = np.bincount(bins, weights=differences, minlength=3)
-    score = np.convolve(counts, np.ones(3), "same")
-    centre = np.convolve(sums, np.ones(3), "same") / np.maximum(score, 1)
-    order = np.argsort(-score, kind="stable")[: 4 * _MAX_SCREENED]
-    found: list[float] = []
-    for index in order.tolist():
-        if all(abs(centre[index] - other) > width for other in found):
-            found.append(float(centre[index]))
-        if len(found) == _MAX_SCREENED:
-            break
+    # Hardly wider than what the times of one clock spread over: a window of a whole interval sees no peaks.
+    spread = float(times.resolution_s.max()) + DRIFT_SIGMA * float(np.ptp(times.trigger_s))
+    found = _peaks(np.sort(differences), spread + 2 * _LATE_S)
     screened = sorted((_screen(times, offset) for offset in found), key=lambda pair: -pair[0])
     best = screened[0][0]
     return [clock for value, clock in screened if value > best - _KEEP_NATS][:_MAX_KEPT]
 
 
+def _peaks(ordered: FloatArray, window: float) -> list[float]:
+    """Means of the windows that hold most of the ordered values (n,), the fullest first."""
+    first = np.arange(len(ordered))
+    past = np.searchsorted(ordered, ordered + window, "right")
+    count = past - first
+    sums = np.concatenate([[0.0], np.cumsum(ordered - ordered[0])])
+    centre = ordered[0] + (sums[past] - sums[first]) / count
+    found: list[float] = []
+    while len(found) < _MAX_SCREENED and count[best := int(np.argmax(count))] > 0:
+        found.append(float(centre[best]))
+        near = np.searchsorted(ordered, [ordered[best] - window / 2, ordered[best] + window / 2])
+        count[near[0] : near[1] + 1] = 0
+    return found
+
+
 def _screen(times: Times, offset_s: float) -> tuple[float, Clock]:
-    """A clock refined with nearest photos only, and about how well it explains the times."""
+    """A clock refined with nearest photos only, and about how well it explains the times.
+
+    Of triggers and photos nearest to each other: at short intervals every trigger has some photo near.
+    """
     clock = Clock(offset_s)
     middle = times.photo_s + times.resolution_s / 2
     score = 0.0
     for _ in range(4):
         predicted = clock.predict_s(times.trigger_s)
-        right = np.clip(np.searchsorted(middle, predicted), 1, len(middle) - 1) if len(middle) > 1 else None
-        if right is None:
-            nearest = np.zeros(len(predicted), dtype=np.int64)
-        else:
-            left_is_nearer = predicted - middle[right - 1] < middle[right] - predicted
-            nearest = np.where(left_is_nearer, right - 1, right)
-        cells = Cells(np.arange(len(predicted)), nearest, np.zeros(len(predicted)))
+        photo = _nearest(predicted, middle)
+        trigger = np.flatnonzero(_nearest(middle, predicted)[photo] == np.arange(len(predicted)))
+        cells = Cells(trigger, photo[trigger], np.zeros(len(trigger)))
         weight = weigh(times, clock, cells.trigger, cells.photo)
         score = float(np.maximum(weight, 0.0).sum())
         clock = fit(times, cells, (weight > 0).astype(float), clock)
     return score, clock
+
+
+def _nearest(values: FloatArray, ordered: FloatArray) -> IntArray:
+    """Index (n,) into ordered (m,) of what is nearest to each value (n,)."""
+    right = np.clip(np.searchsorted(ordered, values), 1, max(len(ordered) - 1, 1))
+    left_is_nearer = values - ordered[right - 1] < ordered[np.minimum(right, len(ordered) - 1)] - values
+    nearest: IntArray = np.where(left_is_nearer | (len(ordered) == 1), right - 1, right)
+    return nearest
 
 
 def weigh(times: Times, clock: Clock, trigger: IntArray, photo: IntArray) -> FloatArray:
