@@ -13,14 +13,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.pairing_flights import cut, flight
-from daemon.capture.alignment import LOG_END, Cells, align
+from daemon.capture.alignment import LOG_END, Cells, align, log_jump
 from daemon.capture.pairing import pair, renew, update, without_repeats
 from daemon.capture.records import KnownClock, Shot, Trigger
 
 EQUAL_S = 300 + 2.0 * np.arange(80)
 
 
-@given(st.integers(1, 4), st.integers(1, 4), st.integers(0, 10_000))
+@given(st.integers(1, 6), st.integers(1, 5), st.integers(0, 10_000))
 @settings(max_examples=30, deadline=None)
 def test_sums_equal_the_enumeration_of_all_alignments(n_t: int, n_p: int, seed: int) -> None:
     weight = np.random.default_rng(seed).normal(0, 3, (n_t, n_p))
@@ -32,6 +32,8 @@ def test_sums_equal_the_enumeration_of_all_alignments(n_t: int, n_p: int, seed: 
                 ends = n_t + n_p
                 if size:
                     ends = rows[0] + columns[0] + n_t - 1 - rows[-1] + n_p - 1 - columns[-1]
+                jumps = zip(np.diff(rows) - 1, np.diff(columns) - 1, strict=True)
+                log_w += sum(log_jump(int(h), int(g)) for h, g in jumps)
                 value = float(np.exp(log_w + LOG_END * ends))
                 total += value
                 joint[list(rows), list(columns)] += value
@@ -206,3 +208,16 @@ def test_a_clock_that_was_one_line_off_is_given_up() -> None:
     assert [p.shot.name for p in early.pairs] == [s.name for s in shots[: len(line)]]
     late = renew(early, triggers, shots)
     assert {(p.trigger.key, p.shot.order) for p in late.sure_pairs} == {(t.key, t.key) for t in triggers}
+
+
+def test_a_cut_link_leaves_the_clock_that_explains_the_triggers_on_both_sides_of_it() -> None:
+    """Equal lines; triggers of the first and of the last stops. One line off, more photos would be lone."""
+    line = np.concatenate([[0.0, 2.5], 2.5 + 1.28 * np.arange(1, 19), [27.9]])
+    exposed = np.concatenate([24.1 + line, 62.9 + line, 96.1 + 12.48 * np.arange(4)])
+    shots = [Shot(f"{k:03d}.JPG", float(np.round(t - 3469.036, 2)), 0.01, k) for k, t in enumerate(exposed)]
+    del shots[28], shots[26]
+    triggers = [Trigger(k, t, 0.02, k + 1) for k, t in enumerate(exposed.tolist())]
+    heard = [*triggers[:13], *triggers[-4:]]
+    assert {(p.trigger.key, p.shot.order) for p in pair(heard, shots).sure_pairs} == {
+        (t.key, t.key) for t in heard
+    }

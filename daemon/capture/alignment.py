@@ -1,13 +1,14 @@
 """Monotone alignment of triggers and photos for one clock: forward-backward sums over all of them.
 
 The hidden path visits (trigger, photo) pairs in order; whatever it jumps over is a gap. Gaps at the
-ends (test shots before take-off, a log that starts late) are cheaper than gaps in the middle. All
+ends (test shots before take-off, a log that starts late) are cheaper than gaps in the middle, and so is
+what is lost in a row on one side only: a link that was cut, a folder of the card that is missing. All
 weights are relative to the path without any pair, so that a cell weighs
 
     r = p(match) / (p(lone trigger) p(lone photo)) * density(photo | trigger) / density(photo alone)
 
-and F(i, j) = r (sum of F over all earlier triggers and photos + leading gaps). Pairs outside a
-window of a few sigma weigh nothing, so the sums run over narrow bands.
+and F(i, j) = r (sum of F over all earlier triggers and photos, weighted by :func:`log_jump`, + leading
+gaps). Pairs outside a window of a few sigma weigh nothing, so the sums run over narrow bands.
 """
 
 from __future__ import annotations
@@ -24,6 +25,8 @@ IntArray = NDArray[np.int64]
 P_MATCH, P_GAP, P_END_GAP = 0.88, 0.06, 0.6
 LOG_PAIR = float(np.log(P_MATCH / P_GAP**2))
 LOG_END = float(np.log(P_END_GAP / P_GAP))
+#: For each further trigger or photo that is lost in a row, while at most so many are lost on the other side.
+LOG_ROW, ROW_OTHERS = 0.85 * LOG_END, 1
 #: Share and width of pairs that are far later or earlier than the jitter says.
 TAIL_SHARE, TAIL_SIGMA_S = 0.1, 0.2
 
@@ -90,6 +93,13 @@ def coincident(cells: Cells) -> FloatArray:
     return both
 
 
+def log_jump(triggers: int, photos: int) -> float:
+    """Log weight of so many lone triggers and photos between two pairs, against each being lost by itself."""
+    if min(triggers, photos) > ROW_OTHERS or max(triggers, photos) <= ROW_OTHERS:
+        return 0.0
+    return float(np.logaddexp(0.0, LOG_ROW * (max(triggers, photos) - 1)))
+
+
 def align(cells: Cells, n_triggers: int, n_photos: int) -> Aligned:
     """Sum over all monotone alignments; cells sorted by trigger, photos (n_p,) sorted by time."""
     if not len(cells.trigger):
@@ -117,17 +127,33 @@ def _sweep(trigger: IntArray, photo: IntArray, log_weight: FloatArray, n_photos:
     out = np.empty(len(trigger))
     # sums[j]: paths over earlier triggers whose last photo is before j, divided by exp(scale).
     sums, scale = np.zeros(n_photos + 1), -np.inf
+    # columns[j]: paths that end at photo j, and at a trigger more than ROW_OTHERS back: log F less
+    # LOG_ROW times its trigger. recent: trigger, photos and log F of the rows that are not.
+    columns = np.full(n_photos, -np.inf)
+    recent: list[tuple[int, IntArray, FloatArray]] = []
     bounds = np.flatnonzero(np.diff(trigger)) + 1
     for start, stop in zip(
         np.concatenate([[0], bounds]).tolist(), [*bounds.tolist(), len(trigger)], strict=True
     ):
-        photos, weights = photo[start:stop], log_weight[start:stop]
-        leading = LOG_END * (trigger[start] + photos)
+        row, photos, weights = int(trigger[start]), photo[start:stop], log_weight[start:stop]
+        leading = LOG_END * (row + photos)
         if scale == -np.inf:
             scale = float(leading.max())
         with np.errstate(divide="ignore"):
-            log_f = weights + np.logaddexp(np.log(sums[photos]) + scale, leading)
+            before = np.logaddexp(np.log(sums[photos]) + scale, leading)
+        while recent and row - recent[0][0] - 1 > ROW_OTHERS:
+            past, earlier, log_paths = recent.pop(0)
+            columns[earlier] = np.logaddexp(columns[earlier], log_paths - LOG_ROW * past)
+        for _, earlier, log_paths in recent:
+            alone = photos[:, None] - earlier - 1
+            rows = np.where(alone > ROW_OTHERS, log_paths + LOG_ROW * (alone - 1), -np.inf)
+            before = np.logaddexp(before, np.logaddexp.reduce(rows, axis=1))
+        for back in range(1, ROW_OTHERS + 2):
+            from_column = np.where(photos >= back, columns[np.maximum(photos - back, 0)], -np.inf)
+            before = np.logaddexp(before, from_column + LOG_ROW * (row - 2))
+        log_f = weights + before
         out[start:stop] = log_f
+        recent.append((row, photos, log_f))
         peak = float(log_f.max())
         if peak > scale + 200.0:
             sums *= np.exp(max(scale - peak, -700.0))
