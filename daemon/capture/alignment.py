@@ -131,6 +131,7 @@ def _sweep(trigger: IntArray, photo: IntArray, log_weight: FloatArray, n_photos:
     # LOG_ROW times its trigger. recent: trigger, photos and log F of the rows that are not.
     columns = np.full(n_photos, -np.inf)
     recent: list[tuple[int, IntArray, FloatArray]] = []
+    reached = -1
     bounds = np.flatnonzero(np.diff(trigger)) + 1
     for start, stop in zip(
         np.concatenate([[0], bounds]).tolist(), [*bounds.tolist(), len(trigger)], strict=True
@@ -144,13 +145,16 @@ def _sweep(trigger: IntArray, photo: IntArray, log_weight: FloatArray, n_photos:
         while recent and row - recent[0][0] - 1 > ROW_OTHERS:
             past, earlier, log_paths = recent.pop(0)
             columns[earlier] = np.logaddexp(columns[earlier], log_paths - LOG_ROW * past)
+            reached = max(reached, int(earlier[-1]))
         for _, earlier, log_paths in recent:
-            alone = photos[:, None] - earlier - 1
-            rows = np.where(alone > ROW_OTHERS, log_paths + LOG_ROW * (alone - 1), -np.inf)
-            before = np.logaddexp(before, np.logaddexp.reduce(rows, axis=1))
+            if photos[-1] - earlier[0] - 1 > ROW_OTHERS:
+                alone = photos[:, None] - earlier - 1
+                rows = np.where(alone > ROW_OTHERS, log_paths + LOG_ROW * (alone - 1), -np.inf)
+                before = np.logaddexp(before, np.logaddexp.reduce(rows, axis=1))
         for back in range(1, ROW_OTHERS + 2):
-            from_column = np.where(photos >= back, columns[np.maximum(photos - back, 0)], -np.inf)
-            before = np.logaddexp(before, from_column + LOG_ROW * (row - 2))
+            if back <= photos[-1] and photos[0] - back <= reached:
+                found = np.where(photos >= back, columns[np.maximum(photos - back, 0)], -np.inf)
+                before = np.logaddexp(before, found + LOG_ROW * (row - 2))
         log_f = weights + before
         out[start:stop] = log_f
         recent.append((row, photos, log_f))
