@@ -101,6 +101,7 @@ def photo_flight(
     line_faults: LineFaults | None = None,
     faults: Faults | None = None,
     card: Callable[[VehicleServer], Card] | None = None,
+    beside: tuple[str, int] | None = None,
     **options: object,
 ) -> Iterator[PhotoFlight]:
     """On the ground with the plan on board; the card is filled while it flies."""
@@ -112,6 +113,7 @@ def photo_flight(
             VehicleOptions(flavour, LAUNCH, **options),  # type: ignore[arg-type]
             proxy.vehicle_address,
             faults=faults,
+            camera=beside,
         ) as server,
     ):
         vehicle = server.vehicle

@@ -42,6 +42,7 @@ from daemon.link.message import from_pymavlink
 from daemon.remote import CutError, RefusedError
 from daemon.session.store import Session
 from sim.tether.file_server import FileServer
+from sim.tether.offering import Offering
 from tests.check_process import wait_for
 from tests.mission_server import free_port
 
@@ -258,6 +259,18 @@ def test_web_refusals_and_cuts() -> None:
     ):
         with pytest.raises((RefusedError, CutError), match=why):
             list(read_web(url, 0))
+
+
+def test_the_simulated_camera_s_web_server(tmp_path: Path) -> None:
+    content = jpeg(tmp_path / "a.jpg", 1).read_bytes()
+    with Offering(tmp_path, "http") as offering:
+        assert b"".join(filter(None, read_web(offering.url("a.jpg"), 0))) == content
+        assert b"".join(filter(None, read_web(offering.url("a.jpg"), 500))) == content[500:]
+        assert list(read_web(offering.url("a.jpg"), len(content))) == []
+        with pytest.raises(CutError, match="changed"):
+            list(read_web(offering.url("a.jpg"), len(content) + 1))
+        with pytest.raises(RefusedError, match="404"):
+            list(read_web(offering.url("../a.jpg"), 0))
 
 
 class Camera:
