@@ -26,6 +26,7 @@ pytest.importorskip("mavsdk", reason="pip install fieldcal[flight]")
 from mavsdk.asyncio import ComponentType, Configuration, Mavsdk
 from mavsdk.asyncio.plugins.ftp_server import FtpServerAsync
 
+from benchmarks.processes import wait_for
 from calib.photos.collect import photos_below
 from daemon.capture.fetch import Fetcher, local_name
 from daemon.capture.hot_folder import HotFolder
@@ -43,7 +44,6 @@ from daemon.remote import CutError, RefusedError
 from daemon.session.store import Session
 from sim.tether.file_server import FileServer
 from sim.tether.offering import Offering
-from tests.check_process import wait_for
 from tests.mission_server import free_port
 
 

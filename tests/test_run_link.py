@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
 
+from benchmarks.processes import wait_for
 from calib.align.stream import Solve
 from calib.errors import AlignmentError
 from calib.photos.photo import Photo
@@ -24,7 +25,6 @@ from daemon.session.store import Session
 from mission import encode
 from mission.encode import Flavour
 from sim.faults import LineFaults
-from tests.check_process import wait_for
 from tests.mission_server import free_port
 from tests.photo_flights import Card, PhotoFlight, photo_flight
 from tests.test_flight import Scripted
