@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import contextlib
 import os
+import signal
 import time
 from collections.abc import Callable
 from pathlib import Path
@@ -33,6 +35,12 @@ def worker(leader: int) -> int | None:
         if b"spawn_main" in words:
             return pid
     return None
+
+
+def kill_9(pid: int) -> None:
+    """Unless it has ended."""
+    with contextlib.suppress(ProcessLookupError):
+        os.kill(pid, signal.SIGKILL)
 
 
 def cpu_s(pid: int) -> float:
