@@ -20,7 +20,7 @@ from calib.reference import EquifinalLine, Reference
 from calib.reference_file import write_reference_file
 from calib.references import load_reference
 from daemon.output import JsonOption, console, table, write_json
-from daemon.terminal import wrapped
+from daemon.terminal import paragraph
 
 SCHEMA = "fieldcal.adjust-k/1"
 WARNING = (
@@ -132,18 +132,13 @@ def _show(
     out: Path | None,
 ) -> None:
     say = console()
-    width = max(min(say.width, 80), 20)
-
-    def paragraph(text: str, style: str = "") -> None:
-        for row in wrapped(text, width):
-            say.print(Text(row, style=style), soft_wrap=True)
-
-    paragraph(WARNING, "bold")
+    paragraph(say, WARNING, "bold")
     say.print()
     inside = line.k1_min <= radial.k1_px <= line.k1_max
     paragraph(
+        say,
         f"{before.name}: K1 {'lies within' if inside else 'was brought into'} the domain of the line "
-        f"({line.source}), {line.k1_min:.3g} to {line.k1_max:.3g}; K2 is from the line, K3 is dropped."
+        f"({line.source}), {line.k1_min:.3g} to {line.k1_max:.3g}; K2 is from the line, K3 is dropped.",
     )
     values = table("pixel units", "before", "after", numbers=("before", "after"))
     for name, one, two in zip(("K1", "K2", "K3"), radial.vector, clipped.vector, strict=True):
@@ -156,8 +151,9 @@ def _show(
     costs.add_row("after the best focal length", f"{felt_px[0]:.2f}", f"{felt_px[1]:.2f}")
     say.print(costs)
     paragraph(
+        say,
         "The last row is what the photos then fit worse by: compare it with the residual of the alignment, "
-        "half a pixel or so."
+        "half a pixel or so.",
     )
     if out is not None:
         say.print(Text(f"Wrote {out}"), soft_wrap=True)

@@ -23,7 +23,7 @@ from calib.files import check_file_writable, output_folder, write_text_atomic
 from calib.wording import path_text
 from daemon.output import console, table, write_stdout
 from daemon.progress import progress_line
-from daemon.terminal import wrapped
+from daemon.terminal import paragraph
 
 DEFAULT_OUT = Path("fieldcal-out")
 REPORT_HTML, REPORT_JSON = "assessment.html", "assessment.json"
@@ -128,12 +128,6 @@ def _picked(path: Path, points: Truth) -> FloatArray:
 
 def _show(made: CloudAssessment, out: Path, quiet: bool, to_stderr: bool) -> None:
     say = console(to_stderr)
-    width = max(min(say.width, 80), 20)
-
-    def paragraph(text: str, style: str = "") -> None:
-        for line in wrapped(text, width):
-            say.print(Text(line, style=style), soft_wrap=True)
-
     sentences = [offset_text(made), precision_text(made), shape_text(made), elevation_text(made)]
     if quiet:
         if not to_stderr:
@@ -141,13 +135,13 @@ def _show(made: CloudAssessment, out: Path, quiet: bool, to_stderr: bool) -> Non
         return
     for text in sentences:
         if text:
-            paragraph(text)
+            paragraph(say, text)
     say.print()
     rows = table("", "", "value", "at the edge", numbers=("at the edge",))
     for row in seven_rows(made):
         rows.add_row(*row)
     say.print(rows)
     for note in made.notes:
-        paragraph(note, "dim")
+        paragraph(say, note, "dim")
     say.print()
     say.print(Text(f"Report: {path_text(out / REPORT_HTML)}"), soft_wrap=True)

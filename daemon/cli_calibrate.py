@@ -52,7 +52,7 @@ from calib.targets import (
 from calib.wording import camera_name, path_text, photos_given
 from daemon.output import console, table, write_stdout
 from daemon.progress import progress_line
-from daemon.terminal import BADGES, print_findings, wrapped
+from daemon.terminal import paragraph, print_findings, print_headline
 
 app = typer.Typer(
     help="Calibrate a camera on site: on a flat wall or from any convergent flight.",
@@ -160,35 +160,25 @@ def _show(made: Calibration, wanted: _Wanted, saved: str | None) -> None:
         if not to_stderr:
             say.print(f"{made.acceptance.words}: {made.headline}", soft_wrap=True)
         return
-    width = max(min(say.width, 80), 20)
-
-    def paragraph(text: str, style: str = "", indent: str = "", hanging: str | None = None) -> None:
-        for line in wrapped(text, width, indent, indent if hanging is None else hanging):
-            say.print(Text(line, style=style), soft_wrap=True)
-
     for note in made.notes:
-        paragraph(note)
+        paragraph(say, note)
     say.print()
-    badge = f" {made.acceptance.words} "
-    first, *rest = wrapped(made.headline, width, " " * (len(badge) + 2))
-    say.print(Text.assemble((badge, BADGES[made.acceptance.verdict]), first[len(badge) :]), soft_wrap=True)
-    for line in rest:
-        say.print(Text(line), soft_wrap=True)
+    print_headline(say, made.acceptance.words, made.acceptance.verdict, made.headline)
     say.print()
     photos = f"{photos_given(made)} photos, {len(made.solution.photos)} aligned"
-    paragraph(f"{camera_name(made.camera)}, {photos}", "dim")
+    paragraph(say, f"{camera_name(made.camera)}, {photos}", "dim")
     say.print()
-    print_findings(made.findings, say, width)
+    print_findings(made.findings, say)
     if made.what_to_do:
         say.print()
         say.print(Text("What to do", style="bold"))
         for text in made.what_to_do:
-            paragraph(text, indent="  - ", hanging="    ")
+            paragraph(say, text, indent="  - ", hanging="    ")
     say.print()
     if saved is None:
-        paragraph("Not saved as a reference.")
+        paragraph(say, "Not saved as a reference.")
     else:
-        paragraph(f"Saved as {saved}: fieldcal check PHOTOS --reference {saved}")
+        paragraph(say, f"Saved as {saved}: fieldcal check PHOTOS --reference {saved}")
     say.print(Text(f"Report: {path_text(wanted.out / REPORT_HTML)}"), soft_wrap=True)
 
 

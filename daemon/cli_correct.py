@@ -20,7 +20,7 @@ from calib.errors import InputError
 from calib.files import check_file_writable
 from calib.wording import path_text, quantity
 from daemon.output import JsonOption, console, table, write_json
-from daemon.terminal import wrapped
+from daemon.terminal import paragraph
 
 SCHEMA = "fieldcal.correction/1"
 
@@ -143,7 +143,6 @@ def _as_json(made: Correction, out: Path) -> dict[str, object]:
 
 def _show(made: Correction, out: Path) -> None:
     say = console()
-    width = max(min(say.width, 80), 20)
     done = []
     if made.shift_m is not None:
         done.append(f"shifted by {', '.join(f'{v:+.3f}' for v in made.shift_m)} m")
@@ -151,8 +150,7 @@ def _show(made: Correction, out: Path) -> None:
         done.append(f"scaled by {made.scale:.6f}")
     if made.tilt_deg is not None:
         done.append(f"tilted by {made.tilt_deg:.3f} degrees")
-    for line in wrapped(f"The cloud was {', '.join(done)}.", width):
-        say.print(Text(line), soft_wrap=True)
+    paragraph(say, f"The cloud was {', '.join(done)}.")
     say.print()
     rows = table("what remains", "", "fixed by", "1 sigma", "at the edge", numbers=("at the edge",))
     for left in made.remains:
@@ -165,14 +163,13 @@ def _show(made: Correction, out: Path) -> None:
             rows.add_row(words, left.name, left.fixed_by, size, edge)
     say.print(rows)
     if any(left.fixed_by is None for left in made.remains):
-        for line in wrapped(
+        paragraph(
+            say,
             'Fixed by nothing: still as it was. "Up to" is the worst of eight published flights without '
-            "control; fieldcal assess measures it against reference points.", width
-        ):  # fmt: skip
-            say.print(Text(line, style="dim"), soft_wrap=True)
-    for line in wrapped("No shift, scale or tilt takes out a dome, a dish or noise.", width):
-        say.print(Text(line, style="dim"), soft_wrap=True)
+            "control; fieldcal assess measures it against reference points.",
+            "dim",
+        )
+    paragraph(say, "No shift, scale or tilt takes out a dome, a dish or noise.", "dim")
     for note in made.notes:
-        for line in wrapped(note, width):
-            say.print(Text(line), soft_wrap=True)
+        paragraph(say, note)
     say.print(Text(f"Wrote {path_text(out)}"), soft_wrap=True)

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import textwrap
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 from rich.console import Console
@@ -49,20 +50,11 @@ def print_summary(
     ``report`` is the path of report.html (None: none was written), ``notes`` what the reading of the
     photos remarked. Colours and width follow ``console``; lines are at most 80 columns long.
     """
-    width = max(min(console.width, _WIDTH), 20)
-
-    def say(text: str, style: str = "", indent: str = "") -> None:
-        for line in wrapped(text, width, indent, indent):
-            console.print(Text(line, style=style), soft_wrap=True)
-
+    say = partial(paragraph, console)
     for note in notes:
         say(note)
     console.print()
-    badge = f" {VERDICT_WORDS[result.verdict]} "
-    first, *rest = wrapped(result.headline, width, " " * (len(badge) + 2))
-    console.print(Text.assemble((badge, BADGES[result.verdict]), first[len(badge) :]), soft_wrap=True)
-    for line in rest:
-        console.print(Text(line), soft_wrap=True)
+    print_headline(console, VERDICT_WORDS[result.verdict], result.verdict, result.headline)
     console.print()
     left_out = len(all_left_out(result))
     facts = (
@@ -74,7 +66,7 @@ def print_summary(
     for line in _left_out(result):
         say(line, "dim", "  ")
     console.print()
-    print_findings(result.findings, console, width)
+    print_findings(result.findings, console)
     if result.what_to_fly is not None:
         console.print()
         console.print(Text("What to fly", style="bold"))
@@ -83,6 +75,28 @@ def print_summary(
         console.print()
         # One line however long, so that it can be copied.
         console.print(Text(f"Report: {path_text(report)}"), soft_wrap=True)
+
+
+def columns(console: Console) -> int:
+    """How wide words are set."""
+    return max(min(console.width, _WIDTH), 20)
+
+
+def paragraph(
+    console: Console, text: str, style: str = "", indent: str = "", hanging: str | None = None
+) -> None:
+    """Words in lines that start with ``indent``, and from the second on with ``hanging`` (None: the same)."""
+    for line in wrapped(text, columns(console), indent, indent if hanging is None else hanging):
+        console.print(Text(line, style=style), soft_wrap=True)
+
+
+def print_headline(console: Console, words: str, verdict: Verdict, headline: str) -> None:
+    """What came out, on the verdict's colour, and the sentence behind it."""
+    badge = f" {words} "
+    first, *rest = wrapped(headline, columns(console), " " * (len(badge) + 2))
+    console.print(Text.assemble((badge, BADGES[verdict]), first[len(badge) :]), soft_wrap=True)
+    for line in rest:
+        console.print(Text(line), soft_wrap=True)
 
 
 def wrapped(text: str, width: int, first: str = "", others: str = "") -> list[str]:
@@ -114,8 +128,9 @@ def _signs(console: Console) -> dict[State, str]:
     return _SIGNS
 
 
-def print_findings(findings: tuple[Finding, ...], console: Console, width: int) -> None:
-    """All findings, what went wrong first, within ``width`` columns."""
+def print_findings(findings: tuple[Finding, ...], console: Console) -> None:
+    """All findings, what went wrong first."""
+    width = columns(console)
     signs = _signs(console)
     sign_width = max(map(len, signs.values())) + 1
     rules = [printable(finding.rule) for finding in findings]

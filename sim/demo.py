@@ -1,8 +1,8 @@
 """``python -m sim.demo``: a drone that nobody flew, a lens that is known, a verdict before it lands.
 
 A simulated vehicle flies over invented farmland, a simulated camera takes its photos, and fieldcal does
-its job beside them, as a crew would use it: plan, upload, run (REFLY), refly, upload, run (TRUST).
-What it found is compared with the true lens at the end.
+its job beside them, as a crew would use it: plan, upload, run. The run says REFLY while the drone flies,
+uploads the extra pass, and says TRUST once that is flown. What it found is compared with the true lens.
 """
 
 from __future__ import annotations
@@ -12,7 +12,6 @@ import json
 import os
 import shutil
 import signal
-import socket
 import subprocess
 import sys
 import time
@@ -23,7 +22,6 @@ from pathlib import Path
 from threading import Thread
 from typing import Any
 
-import numpy as np
 from rich.console import Console, Group
 from rich.live import Live
 from rich.text import Text
@@ -31,15 +29,19 @@ from rich.text import Text
 from calib.errors import FieldcalError, OutputError
 from calib.findings import Verdict
 from calib.frames import LocalFrame
+from calib.output import REPORT_HTML, REPORT_JSON
 from calib.reference import Reference
 from calib.reference_file import write_reference_file
 from calib.wording import VERDICT_WORDS
+from mission import encode
 from mission.encode import FLAVOURS, Flavour
 from sim.cameras import PHANTOM_3
 from sim.demo_map import Flown, Spot, drawn
 from sim.demo_pilot import Pilot
+from sim.faults.ends import free_port
 from sim.options import SurveyOptions
 from sim.survey import identity_of
+from sim.truth import lens_reference
 from sim.vehicle import VehicleOptions, VehicleServer
 
 HOME = LocalFrame(47.0, 8.5, 430.0)
@@ -50,13 +52,14 @@ CAMERA = "dji-phantom-3-professional"
 SPEED_UP, HOMEWARD = 3.0, 10.0
 #: The way home goes on in real time for so long, so that a slow computer, too, tells before the landing.
 PATIENCE_S = 60.0
+MISSION, LENS, FLIGHT = "nadir.plan", "true-lens.json", "flight"
 #: A flight that takes longer has gone wrong.
 LONGEST_S = 1800.0
 #: Photos that look further aside than this are drawn as such.
 OBLIQUE_PITCH_DEG = -80.0
 #: What a run of this demonstration leaves in its folder, and clears away at the next.
-OWN = ("tether", "nadir-only", "with-pass", "sessions", "backup", "camera.log")
-SO_FAR = "So far "
+OWN = ("tether", "flight", "nadir-only", "with-pass", "sessions", "kept-missions", "camera.log")
+SO_FAR, FLY_IT, REPORT = "So far ", "Fly it when you are ready", "Report: "
 
 
 @dataclass(frozen=True)
@@ -65,22 +68,26 @@ class Step:
 
     name: str
     title: str
-    mission: str
     expected: Verdict
 
 
 STEPS = (
-    Step("nadir-only", "photos straight down", "nadir.plan", Verdict.REFLY),
-    Step("with-pass", "the same and the pass that fieldcal asked for", "pass.plan", Verdict.TRUST),
+    Step("nadir-only", "photos straight down", Verdict.REFLY),
+    Step("with-pass", "the same and the pass that fieldcal asked for", Verdict.TRUST),
 )
 
 
 @dataclass
 class Told:
-    """What ``fieldcal run`` has said: ``early`` is its last verdict while the drone was in the air."""
+    """What ``fieldcal run`` has said: ``early`` is its last verdict while the drone was in the air.
+
+    ``reports``: how many final verdicts it has given; ``fly_it``: it waits for the extra pass.
+    """
 
     lines: list[str] = field(default_factory=list)
     early: str | None = None
+    reports: int = 0
+    fly_it: bool = False
 
 
 class Demo:
@@ -134,38 +141,35 @@ class Demo:
 
     # -- the parts -------------------------------------------------------------------------------
 
-    def planned(self) -> dict[str, Any]:
+    def plan(self) -> None:
         """The survey's plan."""
         words: tuple[str, ...] = (
             "plan",
             "nadir",
             "--area",
-            f"{HOME.latitude_deg},{HOME.longitude_deg},{AREA_M:g}",
+            f"{HOME.latitude_deg},{HOME.longitude_deg},{self.area_m:g}",
         )
         words += ("--camera", CAMERA, "--height", f"{HEIGHT_M:g}", "--launch")
         words += (f"{HOME.latitude_deg},{HOME.longitude_deg}", "--forward-overlap", "75")
         words += ("--side-overlap", "60", "--camera-interval", "1", "--autopilot", self.flavour)
-        words += ("--out", str(self.out / "nadir.plan"))
-        plan: dict[str, Any] = json.loads(self.do(*words, "--json", "-"))
+        words += ("--out", str(self.out / MISSION))
+        plan = json.loads(self.do(*words, "--json", "-"))
         expected = plan["predicted"]
         self.say(
             f"{plan['photos']} photos, {plan['duration_s']:.0f} s. To expect: {expected['verdict']}. "
             f"{expected['reason']}"
         )
-        return plan
 
-    def upload(self, mission: str) -> None:
-        words = ("upload", str(self.out / mission), "--to", self.link, "--yes")
-        said = self.do(*words, "--backup", str(self.out / "backup"))
+    def upload(self) -> None:
+        words = ("upload", str(self.out / MISSION), "--to", self.link, "--yes")
+        said = self.do(*words)
         self.say(next(line for line in said.splitlines() if line.startswith("The vehicle holds")))
 
-    def refly(self) -> list[dict[str, Any]]:
-        """The extra pass, computed from the block that was flown."""
-        words = ("refly", str(self.out / STEPS[0].name), "--out", str(self.out / STEPS[1].mission))
-        found = json.loads(self.do(*words, "--autopilot", self.flavour, "--json", "-"))
-        self.say(found["reason"])
-        stations: list[dict[str, Any]] = found["stations"]
-        return stations
+    def stations(self) -> list[Spot]:
+        """Where the newest mission takes its photos: the extra pass, once the run has planned one."""
+        found = sorted((self.out / "sessions").glob("*/refly/pass.plan"))
+        read = encode.read(found[-1] if found else self.out / MISSION)
+        return [(station.east_m, station.north_m) for station in read.stations]
 
     @contextmanager
     def camera(self) -> Iterator[None]:
@@ -204,19 +208,15 @@ class Demo:
                 raise FieldcalError(f"The simulated camera is not ready: {said.strip()[-300:]}")
             time.sleep(0.2)
 
-    def fly(self, step: Step, stations: list[dict[str, Any]], server: VehicleServer) -> Told:
-        """``fieldcal run`` beside the drone, from before the take-off to the verdict."""
+    def fly(self, server: VehicleServer) -> bool:
+        """``fieldcal run`` beside the drone, from before the take-off to the last verdict.
+
+        Whether every verdict was the one expected.
+        """
         forward = f"127.0.0.1:{self.ports[2]}"
-        words: tuple[str, ...] = (
-            "run",
-            "--photos",
-            str(self.tether),
-            "--link",
-            self.link,
-            "--forward",
-            forward,
-        )
-        words += ("--reference", str(self.out / "true-lens.json"), "--out", str(self.out / step.name))
+        words: tuple[str, ...] = ("run", "--photos", str(self.tether), "--link", self.link)
+        words += ("--forward", forward, "--reference", str(self.out / LENS), "--offer-refly", "--yes")
+        words += ("--out", str(self.out / FLIGHT))
         self.say_command(words)
         process = subprocess.Popen(
             self.command(*words),
@@ -229,37 +229,61 @@ class Demo:
         told = Told()
         reader = Thread(target=_listen, args=(process, told, server), daemon=True)
         reader.start()
-        before = len(server.vehicle.photos)
         try:
-            with Pilot(self.ports[2]) as pilot, self._board() as show:
-                pilot.take_off()
-                self.say("The pilot has armed and started the mission; fieldcal never does.")
-                server.speed_up = SPEED_UP
-                calm_s = None
-                said = 0
-                until = time.monotonic() + LONGEST_S
-                while process.poll() is None:
-                    if server.vehicle.done:
-                        server.speed_up = 1.0
-                    elif len(server.vehicle.photos) >= before + len(stations):
-                        calm_s = calm_s or time.monotonic()
-                        waited = told.early is not None or time.monotonic() - calm_s > PATIENCE_S
-                        server.speed_up = HOMEWARD if waited else 1.0
-                    for line in told.lines[said:]:
-                        self.say(line)
-                        said += 1
-                    show(self._map(stations, server))
-                    if time.monotonic() > until:
-                        raise FieldcalError(f"The flight has not ended after {LONGEST_S / 60:.0f} minutes.")
-                    time.sleep(0.2)
+            with Pilot(self.ports[2]) as pilot:
+                for step in STEPS:
+                    self.console.rule(step.title)
+                    told.early, told.fly_it = None, False
+                    self._leg(step, told, pilot, server, process)
+                    if not self.judged(step, told) or (step is not STEPS[-1] and not told.fly_it):
+                        return False
         finally:
             if process.poll() is None:
                 process.kill()
             process.wait()
             reader.join(10)
-        for line in told.lines[said:]:
-            self.say(line)
-        return told
+        return True
+
+    def _leg(
+        self, step: Step, told: Told, pilot: Pilot, server: VehicleServer, process: subprocess.Popen[str]
+    ) -> None:
+        """One flight, from the take-off until the run waits for another, or has ended."""
+        stations = self.stations()
+        before, reports = len(server.vehicle.photos), told.reports
+        pilot.take_off()
+        self.say("The pilot has armed and started the mission; fieldcal never does.")
+        server.speed_up = SPEED_UP
+        calm_s = None
+        until = time.monotonic() + LONGEST_S
+        with self._board() as show:
+            while process.poll() is None and not told.fly_it:
+                if server.vehicle.done:
+                    server.speed_up = 1.0
+                elif len(server.vehicle.photos) >= before + len(stations):
+                    calm_s = calm_s or time.monotonic()
+                    waited = told.early is not None or time.monotonic() - calm_s > PATIENCE_S
+                    server.speed_up = HOMEWARD if waited else 1.0
+                if told.reports > reports:
+                    self.keep(step)
+                    reports = told.reports
+                self._pass_on(told)
+                show(self._map(stations, server))
+                if time.monotonic() > until:
+                    raise FieldcalError(f"The flight has not ended after {LONGEST_S / 60:.0f} minutes.")
+                time.sleep(0.2)
+        self._pass_on(told)
+        self.keep(step)
+
+    def _pass_on(self, told: Told) -> None:
+        while told.lines:
+            self.say(told.lines.pop(0))
+
+    def keep(self, step: Step) -> None:
+        """What the run has reported so far, in the step's own folder: its next verdict takes its place."""
+        for name in (REPORT_HTML, REPORT_JSON):
+            if (self.out / FLIGHT / name).is_file():
+                (self.out / step.name).mkdir(exist_ok=True)
+                shutil.copy(self.out / FLIGHT / name, self.out / step.name / name)
 
     @contextmanager
     def _board(self) -> Iterator[Any]:
@@ -270,10 +294,8 @@ class Demo:
         with Live(console=self.console, transient=True, refresh_per_second=5) as live:
             yield lambda text: live.update(Group(Text(""), Text(text, style="cyan")))
 
-    def _map(self, stations: list[dict[str, Any]], server: VehicleServer) -> str:
+    def _map(self, planned: list[Spot], server: VehicleServer) -> str:
         vehicle = server.vehicle
-        places = HOME.enu(*np.array([(s["lat"], s["lon"], HOME.altitude_m) for s in stations]).T)
-        planned: list[Spot] = [(float(e), float(n)) for e, n, _ in places]
         photos = list(vehicle.photos)
         taken = [p.at_m[:2] for p in photos if p.pitch_deg <= OBLIQUE_PITCH_DEG]
         oblique = [p.at_m[:2] for p in photos if p.pitch_deg > OBLIQUE_PITCH_DEG]
@@ -300,41 +322,26 @@ class Demo:
 
 
 def _listen(process: subprocess.Popen[str], told: Told, server: VehicleServer) -> None:
-    """Take in what a run says until its verdict, which stands in the report."""
+    """Take in what a run says, without its verdicts: those stand in the reports."""
     assert process.stdout is not None
-    over = False
+    verdict = False
     for line in process.stdout:
         text = line.strip()
-        over = over or text.startswith(tuple(VERDICT_WORDS.values()))
+        verdict = verdict or text.startswith(tuple(VERDICT_WORDS.values()))
         if text.startswith(SO_FAR) and server.vehicle.pilot.flying:
             told.early = text.removeprefix(SO_FAR).split(":")[0]
-        if text and not over:
+        if text and not verdict:
             told.lines.append(text)
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("127.0.0.1", 0))
-        port: int = one.getsockname()[1]
-    return port
+        if verdict and text.startswith(REPORT):
+            verdict = False
+            told.reports += 1
+        told.fly_it = told.fly_it or text.startswith(FLY_IT)
 
 
 def reference_of(size: tuple[int, int]) -> Reference:
     """The true lens as the reference that a calibration on site would have given."""
     camera = PHANTOM_3.at(*size)
-    identity = identity_of(PHANTOM_3, camera, False, SurveyOptions())
-    return Reference(
-        name="demo-truth",
-        make=identity.make,
-        model=identity.model,
-        width=camera.width,
-        height=camera.height,
-        processing=identity.processing,
-        source="the simulator's true lens",
-        brown=camera,
-        serial=identity.serial,
-        exif_models=(identity.model,),
-    )
+    return lens_reference("demo-truth", camera, identity_of(PHANTOM_3, camera, False, SurveyOptions()))
 
 
 def prepared(out: Path) -> None:
@@ -388,25 +395,16 @@ def show(out: Path, console: Console) -> None:
 
 def flown(demo: Demo) -> bool:
     """The whole of it; whether every verdict was the one expected."""
-    stations = demo.planned()["stations"]
-    right = []
+    demo.plan()
     with demo.camera():
         confirmed = demo.flavour == "ardupilot"
         options = VehicleOptions(demo.flavour, HOME, boot_utc_s=time.time(), camera_component=confirmed)
         with VehicleServer(
             options, ("127.0.0.1", demo.ports[0]), camera=("127.0.0.1", demo.ports[1])
         ) as server:
-            for step in STEPS:
-                demo.console.rule(step.title)
-                if step is not STEPS[0]:
-                    stations = demo.refly()
-                demo.upload(step.mission)
-                demo.wait_for_camera()
-                told = demo.fly(step, stations, server)
-                right.append(demo.judged(step, told))
-                if not right[-1]:
-                    break
-    return len(right) == len(STEPS) and all(right)
+            demo.upload()
+            demo.wait_for_camera()
+            return demo.fly(server)
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -423,7 +421,7 @@ def main(arguments: list[str] | None = None) -> int:
     out: Path = chosen.out.absolute()
     prepared(out)
     reference = reference_of(size)
-    write_reference_file(reference, out / "true-lens.json")
+    write_reference_file(reference, out / LENS)
     right = flown(Demo(out, size, console, chosen.autopilot))
     if reference.brown is not None:
         compare(reference.brown.f_px, out, console)

@@ -82,32 +82,38 @@ class SurveyTruth:
         return brown_px if self.pattern is None else brown_px + self.pattern(brown_px)
 
 
+def lens_reference(
+    name: str, camera: BrownCamera, identity: CameraIdentity | None, field_px: FloatArray | None = None
+) -> Reference:
+    """A true lens as the reference that a perfect calibration on site would have given."""
+    return Reference(
+        name=name,
+        make="" if identity is None else identity.make,
+        model="" if identity is None else identity.model,
+        width=camera.width,
+        height=camera.height,
+        processing=Processing.UNKNOWN if identity is None else identity.processing,
+        source="the simulator's true lens",
+        brown=camera,
+        field_px=field_px,
+        serial=None if identity is None else identity.serial,
+        provenance="rendered survey: known exactly",
+        exif_models=() if identity is None else (identity.model,),
+    )
+
+
 def true_reference(truth: SurveyTruth, name: str) -> Reference:
-    """The true lens as the reference that a perfect calibration on site would have given.
+    """:func:`lens_reference` of a survey's lens.
 
     Of a pattern it holds what the residual field of :mod:`calib.field` can follow.
     """
-    identity = truth.identity
     field_px = None
     if truth.pattern is not None:
         pixels = pixel_grid(truth.camera.width, truth.camera.height)
         basis = field_basis(pixels, truth.camera.width, truth.camera.height)
         shift = truth.pattern(pixels)
         field_px = np.concatenate([np.linalg.lstsq(basis, shift[:, a], rcond=None)[0] for a in (0, 1)])
-    return Reference(
-        name=name,
-        make="" if identity is None else identity.make,
-        model="" if identity is None else identity.model,
-        width=truth.camera.width,
-        height=truth.camera.height,
-        processing=Processing.UNKNOWN if identity is None else identity.processing,
-        source="the simulator's true lens",
-        brown=truth.camera,
-        field_px=field_px,
-        serial=None if identity is None else identity.serial,
-        provenance="rendered survey: known exactly",
-        exif_models=() if identity is None else (identity.model,),
-    )
+    return lens_reference(name, truth.camera, truth.identity, field_px)
 
 
 def write_truth(path: Path, truth: SurveyTruth, extra: dict[str, Any] | None = None) -> None:

@@ -19,6 +19,26 @@ from calib.photos.photo import Photo
 from calib.photos.read import read_photo
 from sim.survey import SurveyTruth, write_survey
 
+#: Files that take longest, longest first: workers that get these last leave the others idle.
+LONGEST = (
+    "test_demo",
+    "test_check_real",
+    "test_check_cli",
+    "test_run_cli",
+    "test_run_link",
+    "test_align_stream",
+    "test_refly_flown",
+    "test_check_bad_input",
+    "test_assess_cloud",
+    "test_service",
+    "test_held",
+)
+
+
+def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
+    """Whole files in the order of :data:`LONGEST`, the others after them as they come."""
+    items.sort(key=lambda i: LONGEST.index(i.path.stem) if i.path.stem in LONGEST else len(LONGEST))
+
 
 @pytest.fixture(scope="session")
 def data_dir() -> Path:

@@ -9,13 +9,9 @@ purpose apart from :mod:`mission.encode.compare`.
 from __future__ import annotations
 
 import math
-import os
-import socket
 import threading
 import time
 from typing import Any
-
-os.environ.setdefault("MAVLINK20", "1")
 
 from pymavlink import mavutil
 from pymavlink.dialects.v20 import ardupilotmega as mavlink
@@ -26,12 +22,6 @@ _WAYPOINT_FRAMES = {"ardupilot": {0, 2, 3, 5, 6, 10, 11}, "px4": {0, 3, 5, 6}}
 _PLACED = {16, 17, 18, 19, 21, 22, 82, 195}
 _FIELDS = ("param1", "param2", "param3", "param4", "x", "y", "z")
 HOME = (471234567, 87654321, 512.3)
-
-
-def free_port() -> int:
-    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-        one.bind(("127.0.0.1", 0))
-        return int(one.getsockname()[1])
 
 
 class MissionServer:

@@ -32,7 +32,7 @@ from daemon.link.attitude import angles_of, between, earth_angles, quaternion_of
 from daemon.link.clock import TimeBase
 from daemon.session.rows import PhotoFile
 from daemon.session.store import Session
-from tests.photo_flights import bare_photo
+from sim.photo_flight import bare_photo
 from tests.test_capture_geotag import exiftool, photo_file
 from tests.test_flight import Scene
 

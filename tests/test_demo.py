@@ -27,7 +27,7 @@ def test_refly_then_trust(tmp_path: Path, flavour: Flavour) -> None:
     demo.prepared(tmp_path)
     reference = demo.reference_of(SIZE)
     assert reference.brown is not None
-    demo.write_reference_file(reference, tmp_path / "true-lens.json")
+    demo.write_reference_file(reference, tmp_path / demo.LENS)
     assert demo.flown(demo.Demo(tmp_path, SIZE, Console(file=said, width=200), flavour, area_m=10.0)), (
         said.getvalue()
     )
@@ -40,7 +40,7 @@ def test_refly_then_trust(tmp_path: Path, flavour: Flavour) -> None:
     # The photos are those that the vehicle was told to take.
     assert len(list((tmp_path / "tether").glob("*.JPG"))) == second["alignment"]["photos"]
     assert "The pilot has armed" in said.getvalue()
-    assert (tmp_path / "backup").is_dir()
+    assert len(list((tmp_path / "kept-missions").iterdir())) == 1
 
 
 def test_a_map_of_characters() -> None:

@@ -178,7 +178,8 @@ def mission_raw() -> Any:
     mavsdk = pytest.importorskip("mavsdk", reason="pip install fieldcal[flight]")
     from mavsdk.plugins.mission_raw import MissionRaw
 
-    from tests.mission_server import MissionServer, free_port
+    from sim.faults.ends import free_port
+    from tests.mission_server import MissionServer
 
     found: dict[Flavour, Any] = {}
     with MissionServer("ardupilot", free_port()) as copter, MissionServer("px4", free_port()) as px4:

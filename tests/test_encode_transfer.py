@@ -18,8 +18,9 @@ from mavsdk.plugins.mission_raw import MissionItem  # noqa: E402
 from mission import encode  # noqa: E402
 from mission.encode import Flavour, Item  # noqa: E402
 from mission.plan import Plan, stations  # noqa: E402
+from sim.faults.ends import free_port  # noqa: E402
 from tests.mission_plans import line, orbit, plan_of, same_photos  # noqa: E402
-from tests.mission_server import MissionServer, free_port  # noqa: E402
+from tests.mission_server import MissionServer  # noqa: E402
 
 PLAN = plan_of(*line(spacing=11.0), *orbit(12, radius=33.3), *line(height=72.345))
 

@@ -42,9 +42,9 @@ from daemon.link.live import Link
 from daemon.link.message import from_pymavlink
 from daemon.remote import CutError, RefusedError
 from daemon.session.store import Session
+from sim.faults.ends import free_port
 from sim.tether.file_server import FileServer
 from sim.tether.offering import Offering
-from tests.mission_server import free_port
 
 
 def jpeg(path: Path, seed: int, side: int = 64) -> Path:

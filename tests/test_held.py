@@ -98,19 +98,19 @@ def test_the_verdict_says_what_was_verified() -> None:
     assert judge_held(evidence(held=fit(), geotag_fault="The geotags contradict."))[0] is Verdict.CANNOT_TELL
 
 
-def test_nadir_photos_are_checked_with_their_lens_held(survey: Survey, home: Path) -> None:
-    lens = true_lens(survey.truth, home / "lens.json")
-    camera = survey.truth.camera
+def test_nadir_photos_are_checked_with_their_lens_held(small: Survey, home: Path) -> None:
+    lens = true_lens(small.truth, home / "lens.json")
+    camera = small.truth.camera
     f_px = camera.f_px
-    ran = check(home, *survey.nadir, "--fixed", lens, "--json", "-", "--quiet")
+    ran = check(home, *small.nadir, "--fixed", lens, "--json", "-", "--quiet")
     assert ran.code in (0, 4), ran.err
     report = json.loads(ran.out)
     assert report["calibration"]["f_px"] == pytest.approx(f_px, rel=1e-9)
     assert findings(report)["reference-fit"]["state"] == State.PASS.value
     assert report_of(home)["verdict"] == report["verdict"]
 
-    other = true_lens(survey.truth, home / "other.json", brown=replace(camera, f_px=1.02 * f_px))
-    ran = check(home, *survey.nadir, "--fixed", other, "--json", "-", "--quiet")
+    other = true_lens(small.truth, home / "other.json", brown=replace(camera, f_px=1.02 * f_px))
+    ran = check(home, *small.nadir, "--fixed", other, "--json", "-", "--quiet")
     assert ran.code == 3
     assert findings(json.loads(ran.out))["reference-fit"]["state"] == State.FLAG.value
 

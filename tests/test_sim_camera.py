@@ -29,12 +29,12 @@ from daemon.link import events as ev
 from daemon.link.clock import TimeBase
 from mission import encode
 from mission.encode import Flavour
+from sim.faults.ends import free_port
 from sim.tether.shutter import Shutter
 from sim.truth import SurveyTruth, read_truth
 from sim.vehicle import PhotoTaken, VehicleOptions, VehicleServer
 from tests.check_process import ended, started
 from tests.mission_plans import LAUNCH, line, orbit, plan_of
-from tests.mission_server import free_port
 from tests.vehicle_client import client
 
 PLAN = plan_of(*line(60.0, 10.0, 40.0), *orbit(4, radius=25.0, height=30.0), speed_m_s=5.0)

@@ -20,9 +20,9 @@ from daemon.link.triggers import Trigger, TriggerFilter
 from mission import encode
 from mission.encode import Flavour
 from mission.plan import stations
+from sim.faults.ends import free_port
 from sim.vehicle import Faults, VehicleOptions, VehicleServer
 from tests.mission_plans import LAUNCH, angle_deg, line, orbit, plan_of
-from tests.mission_server import free_port
 from tests.vehicle_client import Client, client, from_mavsdk_items
 
 PLAN = plan_of(*line(60.0, 10.0, 30.0), *orbit(6, radius=25.0, height=30.0), speed_m_s=5.0)

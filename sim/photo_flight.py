@@ -19,9 +19,7 @@ from mission.plan import Plan
 from sim.faults import LineFaults, Proxy
 from sim.vehicle import Faults, PhotoTaken, VehicleOptions, VehicleServer
 from sim.vehicle.storage import kept
-from tests.mission_plans import LAUNCH, line, orbit, plan_of
 
-PLAN = plan_of(*line(60.0, 10.0, 25.0), *orbit(6, radius=20.0, height=25.0), speed_m_s=6.0)
 FIRST_NUMBER = 17
 
 
@@ -29,14 +27,18 @@ FIRST_NUMBER = 17
 class Card:
     """Photos as a camera on the vehicle takes them, written by a thread. ``clock_s``: camera minus UTC.
 
-    ``skip``: the vehicle's photos (counted from 0) for which no file appears.
+    ``drift_ppm``: how much the camera's clock gains since the vehicle's start. ``skip``: the vehicle's
+    photos (counted from 0) for which no file appears. ``by_hand``: so many photos, written at first, that
+    no trigger belongs to.
     """
 
     folder: Path
     server: VehicleServer
     clock_s: float = 7203.7
+    drift_ppm: float = 0.0
     whole_seconds: bool = False
     skip: frozenset[int] = frozenset()
+    by_hand: int = 0
     written: int = 0
 
     def name(self, number: int) -> str:
@@ -46,6 +48,12 @@ class Card:
     def number(self, path: Path | str) -> int:
         return int(Path(path).stem[3:]) - FIRST_NUMBER
 
+    def write_by_hand(self) -> None:
+        """Test shots before the flight, some seconds apart."""
+        for n in range(self.by_hand):
+            at_s = self.server.vehicle.boot_s - 7.3 * (self.by_hand - n)
+            bare_photo(self.folder / f"DSC{n:05d}.JPG", self._moment(at_s), -n - 1, self.whole_seconds)
+
     def write_new(self) -> None:
         for number, photo in enumerate(self.server.vehicle.photos[self.written :], start=self.written):
             if number not in self.skip:
@@ -53,14 +61,17 @@ class Card:
             self.written = number + 1
 
     def _write(self, number: int, photo: PhotoTaken) -> None:
-        moment = datetime.fromtimestamp(self.server.vehicle.options.boot_utc_s, UTC)
-        moment += timedelta(seconds=photo.boot_s + self.clock_s)
-        bare_photo(self.folder / self.name(number), moment, number, self.whole_seconds)
+        bare_photo(self.folder / self.name(number), self._moment(photo.boot_s), number, self.whole_seconds)
+
+    def _moment(self, boot_s: float) -> datetime:
+        """What the camera's clock shows so long after the vehicle's start."""
+        began = datetime.fromtimestamp(self.server.vehicle.options.boot_utc_s, UTC)
+        return began + timedelta(seconds=boot_s * (1 + 1e-6 * self.drift_ppm) + self.clock_s)
 
 
 def bare_photo(path: Path, moment: datetime, seed: int, whole_seconds: bool) -> Path:
     """A small JPEG with a time and without a position, there at once."""
-    noise = np.random.default_rng(seed).integers(0, 255, (48, 64, 3), dtype=np.uint8)
+    noise = np.random.default_rng(abs(seed)).integers(0, 255, (48, 64, 3), dtype=np.uint8)
     exif, tags = Image.Exif(), ExifTags.Base
     exif[tags.Make], exif[tags.Model] = "SONY", "ILCE-6000"
     details = exif.get_ifd(ExifTags.IFD.Exif)
@@ -75,20 +86,28 @@ def bare_photo(path: Path, moment: datetime, seed: int, whole_seconds: bool) -> 
 
 @dataclass
 class PhotoFlight:
+    """A vehicle behind a line, and the card in its camera."""
+
     proxy: Proxy
     server: VehicleServer
     card: Card
 
     def take_off(self, speed_up: float) -> None:
+        """Arm and start; from now on the vehicle's time runs so many times as fast.
+
+        Raises:
+            RuntimeError: the vehicle does not arm or start.
+        """
         pilot = self.server.vehicle.pilot
-        assert pilot.arm(True)
-        assert pilot.start_mission() == 0
+        if not pilot.arm(True) or pilot.start_mission() != 0:
+            raise RuntimeError("The simulated vehicle does not start.")
         self.server.speed_up = speed_up
 
     def place_error(self, number: int, position: Position) -> tuple[float, float]:
         """Horizontal and vertical distance of a position from the truth of a photo, m."""
         place = (position.latitude_deg, position.longitude_deg, position.altitude_m or 0.0)
-        at = LAUNCH.enu(*(np.array([value]) for value in place))[0]
+        home = self.server.vehicle.options.home
+        at = home.enu(*(np.array([value]) for value in place))[0]
         away = at - np.array(self.server.vehicle.photos[number].at_m)
         return float(np.hypot(away[0], away[1])), abs(float(away[2]))
 
@@ -97,23 +116,25 @@ class PhotoFlight:
 def photo_flight(
     flavour: Flavour,
     folder: Path,
-    plan: Plan = PLAN,
+    plan: Plan,
     line_faults: LineFaults | None = None,
     faults: Faults | None = None,
     card: Callable[[VehicleServer], Card] | None = None,
     beside: tuple[str, int] | None = None,
+    seed: int = 0,
     **options: object,
 ) -> Iterator[PhotoFlight]:
     """On the ground with the plan on board; the card is filled while it flies."""
     folder.mkdir(exist_ok=True)
     stop = threading.Event()
     with (
-        Proxy(line_faults or LineFaults()) as proxy,
+        Proxy(line_faults or LineFaults(), seed) as proxy,
         VehicleServer(
-            VehicleOptions(flavour, LAUNCH, **options),  # type: ignore[arg-type]
+            VehicleOptions(flavour, plan.launch, **options),  # type: ignore[arg-type]
             proxy.vehicle_address,
             faults=faults,
             camera=beside,
+            seed=seed,
         ) as server,
     ):
         vehicle = server.vehicle
@@ -121,6 +142,7 @@ def photo_flight(
         stored = [kept(flavour, n, item, home) for n, item in enumerate(encode.items(plan, flavour))]
         vehicle.transfer.stored[0] = stored
         made = Card(folder, server) if card is None else card(server)
+        made.write_by_hand()
 
         def fill() -> None:
             while not stop.wait(0.02):
