@@ -120,8 +120,8 @@ def photo_flight(
     line_faults: LineFaults | None = None,
     faults: Faults | None = None,
     card: Callable[[VehicleServer], Card] | None = None,
-    beside: tuple[str, int] | None = None,
     seed: int = 0,
+    beside: tuple[str, int] | None = None,
     **options: object,
 ) -> Iterator[PhotoFlight]:
     """On the ground with the plan on board; the card is filled while it flies."""
