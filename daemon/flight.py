@@ -11,7 +11,7 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
-from typing import TYPE_CHECKING, Literal, Protocol
+from typing import TYPE_CHECKING, Literal
 
 from calib.align.stream import Finished, Progressed, Read, Restarted, Solve, Solver
 from calib.check import choose_reference, conclude, read_set
@@ -20,6 +20,7 @@ from calib.photos import LeftOut, Photo, Sorted, require_block, sort_photos
 from calib.report_json import report_dict
 from calib.result import CheckResult, Timing
 from daemon.advice import what_to_fly
+from daemon.capture.bringer import Bringer
 from daemon.capture.hot_folder import Arrival, HotFolder, Marks, Poll
 from daemon.capture.matching import Arrived, Matching, completed
 from daemon.capture.trigger_book import TriggerBook
@@ -44,24 +45,6 @@ _TRANSIENT_S = 0.1
 
 #: Somebody else; from the vehicle's camera as it offers them; gphoto2.
 Source = Literal["folder", "mavlink", "gphoto2"]
-
-
-class Bringer(Protocol):
-    """Brings photos into the folder. ``moved_s``: when the last came, on the flight's clock; ``missing``:
-    known of and not there."""
-
-    moved_s: float
-
-    @property
-    def missing(self) -> int: ...
-    @property
-    def degraded(self) -> tuple[str, ...]: ...
-    def news(self) -> list[tuple[Literal["info", "warning"], str]]: ...
-    def anchors(self) -> dict[str, int]:
-        """File name -> number of the vehicle's photo, for files since the last time."""
-        ...
-
-    def poll(self) -> None: ...
 
 
 @dataclass(frozen=True)

@@ -14,14 +14,13 @@ import time
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Literal
 
 from calib.errors import PhotoError
 from calib.photos.container import OTHER_SUFFIXES, PHOTO_SUFFIXES, RAW_SUFFIXES
 from calib.photos.read import read_photo
+from daemon.capture.bringer import Bringer
 from daemon.capture.trigger_book import Offer, TriggerBook
 from daemon.capture.web import SCHEMES, read_web
-from daemon.closing import Closing
 from daemon.link.ftp import address_of, read_file
 from daemon.link.live import Link
 from daemon.remote import CutError, RefusedError
@@ -63,7 +62,7 @@ class _End:
     came: bool = False
 
 
-class Fetcher(Closing):
+class Fetcher(Bringer):
     """One thread that fetches, one photo after the other in the order of their numbers.
 
     Args:
@@ -74,8 +73,8 @@ class Fetcher(Closing):
     def __init__(
         self, book: TriggerBook, folder: Path, link: Link, clock: Callable[[], float] = time.monotonic
     ) -> None:
+        super().__init__(clock())
         self._book, self._folder, self._link, self._clock = book, folder, link, clock
-        self.moved_s = clock()
         self._there = _numbers_in(folder)
         self._anchors = {name: number for number, name in self._there.items()}
         self._tries: dict[int, _Try] = {}
@@ -83,8 +82,6 @@ class Fetcher(Closing):
         self._in_hand: set[int] = set()
         self._work: queue.Queue[Offer] = queue.Queue(_AHEAD)
         self._ends: queue.SimpleQueue[_End] = queue.SimpleQueue()
-        self._news: list[tuple[Literal["info", "warning"], str]] = []
-        self._fault: str | None = None
         self._bytes = self._bytes_seen = 0
         self._stop = threading.Event()
         self._thread = threading.Thread(target=self._run, name="fetch", daemon=True)
@@ -99,24 +96,14 @@ class Fetcher(Closing):
 
     @property
     def missing(self) -> int:
-        """Photos on offer that are not there."""
         return sum(number not in self._there for number in self._book.offers)
 
-    @property
-    def degraded(self) -> tuple[str, ...]:
-        return (self._fault,) if self._fault else ()
-
-    def news(self) -> list[tuple[Literal["info", "warning"], str]]:
-        found, self._news = self._news, []
-        return found
-
     def anchors(self) -> dict[str, int]:
-        """File name -> number of the vehicle's photo since the last time: the camera said which is which."""
         found, self._anchors = self._anchors, {}
         return found
 
     def poll(self) -> None:
-        """Hand out what is due, take in what has ended. Never waits."""
+        """Hand out what is due, take in what has ended."""
         now = self._clock()
         if self._bytes != self._bytes_seen:
             self._bytes_seen, self.moved_s = self._bytes, now
@@ -152,10 +139,7 @@ class Fetcher(Closing):
                 self._news.append(("warning", f"Photo {number} cannot be fetched from the camera: {error}."))
             return
         reason = f"{self._folder} cannot be written: {error}" if isinstance(error, OSError) else str(error)
-        fault = f"Photos cannot be fetched now: {reason}."
-        if fault != self._fault:
-            self._fault = fault
-            self._news.append(("warning", f"{fault} Trying again."))
+        self._failed(f"Photos cannot be fetched now: {reason}.")
 
     # -- the thread --------------------------------------------------------------------------------
 

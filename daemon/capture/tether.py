@@ -17,10 +17,10 @@ import tempfile
 import time
 from collections.abc import Callable
 from pathlib import Path
-from typing import IO, Literal
+from typing import IO
 
 from calib.errors import InputError
-from daemon.closing import Closing
+from daemon.capture.bringer import Bringer
 
 MISSING = (
     "--photos gphoto2 needs the program gphoto2, which is not installed: sudo apt install gphoto2, or name "
@@ -52,23 +52,19 @@ def gphoto2_program() -> str:
     return found
 
 
-class Tether(Closing):
+class Tether(Bringer):
     """Runs gphoto2 (``program``) in ``folder``; looked after by :meth:`poll`.
 
     Args:
         clock: seconds on a clock that never steps.
     """
 
-    missing = 0
-
     def __init__(self, folder: Path, program: str, clock: Callable[[], float] = time.monotonic) -> None:
-        self.moved_s = clock()
+        super().__init__(clock())
         self._program, self._folder, self._clock = program, folder, clock
         self._child: subprocess.Popen[bytes] | None = None
         self._said: IO[bytes] | None = None
         self._began_s, self._due_s, self._wait_s = 0.0, -1e9, _WAIT_S
-        self._fault: str | None = None
-        self._news: list[tuple[Literal["info", "warning"], str]] = []
         for leftover in folder.glob("tmpfile??????"):  # Of a download that was killed.
             leftover.unlink()
 
@@ -86,20 +82,8 @@ class Tether(Closing):
             self._said.close()
             self._said = None
 
-    @property
-    def degraded(self) -> tuple[str, ...]:
-        return (self._fault,) if self._fault else ()
-
-    def news(self) -> list[tuple[Literal["info", "warning"], str]]:
-        found, self._news = self._news, []
-        return found
-
-    def anchors(self) -> dict[str, int]:
-        """Whose trigger a photo is, nobody says here."""
-        return {}
-
     def poll(self) -> None:
-        """Start gphoto2, or look how it does. Never waits."""
+        """Start gphoto2, or look how it does."""
         now = self._clock()
         if self._child is None:
             if now >= self._due_s:
@@ -115,10 +99,7 @@ class Tether(Closing):
         if now - self._began_s > _GOOD_S:
             self._wait_s = _WAIT_S
         self._due_s, self._wait_s = now + self._wait_s, min(2 * self._wait_s, _MOST_WAIT_S)
-        fault = f"No photos come from the camera: {reason}."
-        if fault != self._fault:
-            self._fault = fault
-            self._news.append(("warning", f"{fault} Trying again."))
+        self._failed(f"No photos come from the camera: {reason}.")
 
     def _start(self, now_s: float) -> None:
         self._began_s = now_s
@@ -135,8 +116,9 @@ class Tether(Closing):
                 preexec_fn=_ends_with_us,
             )
         except OSError as error:
+            self.close()
             self._due_s = now_s + _MOST_WAIT_S
-            self._fault = f"{self._program} cannot be started: {(error.strerror or str(error)).lower()}."
+            self._failed(f"{self._program} cannot be started: {(error.strerror or str(error)).lower()}.")
 
     def _reason(self) -> str:
         assert self._said is not None
