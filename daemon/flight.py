@@ -281,7 +281,8 @@ class Flight:
     def _missing(self, used: Sequence[Photo], left_out: Sequence[LeftOut]) -> None:
         """Say which recorded photos are not in the folder any more."""
         there = {photo.path.absolute() for photo in used} | {item.path.absolute() for item in left_out}
-        gone = [row.value.path.name for row in self._session.photos() if row.value.path not in there]
+        here = self._session.folder.absolute()
+        gone = [row.value.path.name for row in self._session.photos() if here / row.value.path not in there]
         if gone:
             self._say(
                 f"{len(gone)} of the photos recorded earlier are not in {self._options.folder} any more, "
