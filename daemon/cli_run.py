@@ -132,7 +132,7 @@ def run_command(
         Path | None, typer.Option(metavar="FILE", help="Where the token is.", readable=False)
     ] = None,
     again: Annotated[
-        bool, typer.Option("--again", help="The flight begun in this folder, or the next: no photo twice.")
+        bool, typer.Option("--again", help="The flight begun with these photos, or the next: no photo twice.")
     ] = False,
     _config: ConfigFileOption = None,
 ) -> int:
@@ -140,9 +140,9 @@ def run_command(
     source = _source_of(photos)
     photos = photos if source in (None, "folder") else None
     if again:
-        if photos is None or resume_last or session_name is not None:
-            raise InputError("--again goes with --photos FOLDER, and without --resume and --session.")
-        session_name = unended(photos)
+        if source is None or resume_last or session_name is not None:
+            raise InputError("--again goes with --photos, and without --resume and --session.")
+        session_name = unended(photos, source)
     anchors = tuple(map(_anchor, same or ()))
     going_on = resume_last or session_name is not None
     if source is None and not going_on:
@@ -161,8 +161,7 @@ def run_command(
     screen = Screen(talkative=not quiet and json_to != "-", hidden=hidden)
     if offer_refly and not yes and (sys.stdin is None or not sys.stdin.isatty() or not screen.talkative):
         raise InputError("Nobody is there to ask before the extra pass is uploaded: add --yes, or no offer.")
-    passed_on = photos if again else None
-    wishes = Wishes(out, json_to, quiet, geotag, site, offer_refly, yes, passed_on)
+    wishes = Wishes(out, json_to, quiet, geotag, site, offer_refly, yes)
     with ExitStack() as stack:
         session = stack.enter_context(resume(session_name)) if going_on else None
         options = _options(session, photos, source, reference, vehicle, idle, count, link, anchors)
@@ -171,7 +170,7 @@ def run_command(
         told_before = session is not None and session.counts().triggers > 0
         if options.link is None and not told_before and (geotag is not None or anchors):
             raise InputError("--geotag and --same need what the vehicle tells: add --link ADDRESS.")
-        if again:
+        if again and options.source == "folder":
             options = replace(options, passed_over=earlier(options.folder))
         notifier = stack.enter_context(Notifier())
         bus: Bus | None = None
@@ -207,6 +206,8 @@ def run_command(
         told = None if line is None else stack.enter_context(_follow(line, session))
         if options.source != "folder":
             options = replace(options, folder=session.folder / PHOTOS)
+        if again:
+            wishes = replace(wishes, again=options.folder)
         bringer = _bringer(options, told)
         if bringer is not None:
             stack.enter_context(bringer)

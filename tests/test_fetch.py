@@ -28,12 +28,14 @@ from mavsdk.asyncio.plugins.ftp_server import FtpServerAsync
 
 from benchmarks.processes import wait_for
 from calib.photos.collect import photos_below
+from daemon.again import unended
 from daemon.capture.fetch import Fetcher, local_name
 from daemon.capture.hot_folder import HotFolder
 from daemon.capture.tether import ARGUMENTS, Tether, gphoto2_program
 from daemon.capture.trigger_book import Offer, TriggerBook
 from daemon.capture.web import read_web
 from daemon.cli import run
+from daemon.flight import STARTED
 from daemon.link import wire
 from daemon.link.address import parse
 from daemon.link.events import PhotoReport, PhotoSource
@@ -41,6 +43,8 @@ from daemon.link.ftp import PIECE_BYTES, ReadPiece, address_of, read_file
 from daemon.link.live import Link
 from daemon.link.message import from_pymavlink
 from daemon.remote import CutError, RefusedError
+from daemon.session.library import begin
+from daemon.session.rows import ClockName, Event, Stamp
 from daemon.session.store import Session
 from sim.faults.ends import free_port
 from sim.tether.file_server import FileServer
@@ -454,7 +458,8 @@ def test_photos_of_a_camera_on_usb(tmp_path: Path, usb_camera: Path) -> None:
         (["--photos", "gphoto2"], "sudo apt install gphoto2"),
         (["--photos", "mavlink"], "add --link"),
         (["--photos", "mavlink", "--link", "flight.tlog"], "add --link"),
-        (["--photos", "mavlink", "--again"], "--again goes with --photos FOLDER"),
+        (["--photos", "mavlink", "--again"], "add --link"),
+        (["--photos", "mavlink", "--again", "--resume"], "--again goes with --photos"),
         (["--photos", "/nowhere/gphoto2"], "no folder /nowhere/gphoto2"),
     ],
 )
@@ -474,3 +479,20 @@ def test_refusals(
     assert why in told
     assert told.count("\n") == 1
     assert not (tmp_path / "sessions").exists()
+
+
+def test_the_service_goes_on_with_the_flight_of_its_own_source(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setenv("FIELDCAL_SESSIONS", str(tmp_path / "sessions"))
+    names = {}
+    for source in ("folder", "mavlink", "gphoto2"):
+        with begin(source) as session:
+            folder = tmp_path if source == "folder" else session.folder / "photos"
+            data = {"folder": str(folder), "source": source}
+            session.add_event(Event(STARTED, Stamp(1.7e9, ClockName.UTC), data))
+            names[source] = session.folder.name
+    assert unended(None, "mavlink") == names["mavlink"]
+    assert unended(None, "gphoto2") == names["gphoto2"]
+    assert unended(tmp_path) == names["folder"]
+    assert unended(tmp_path / "other") is None
