@@ -66,12 +66,15 @@ def timed(points: int, work: Path) -> Cost:
     """The whole command, report and start of Python included."""
     write_large(work / "large.laz", points)
     write_references(work / "truth.csv", 500)
-    return measure(
+    cost = measure(
         [
             sys.executable, "-m", "daemon.cli", "assess", str(work / "large.laz"), "--truth",
             str(work / "truth.csv"), "--out", str(work / "out"), "--quiet",
         ]
     )  # fmt: skip
+    if cost.code != 0:
+        raise SystemExit(f"fieldcal assess ended with exit code {cost.code}.")
+    return cost
 
 
 # --- CloudCompare ----------------------------------------------------------------------------------

@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from scipy.special import chdtrc
 
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
-from calib.control_adjust import BoolArray, Fit, MarkSet, adjust, intersected, resected, residuals_px
+from calib.control_adjust import BoolArray, Fit, MarkSet, Pose, adjust, intersected, resected, residuals_px
 from calib.control_files import ControlPoint, Mark
 from calib.errors import AlignmentError, InputError
+from calib.mount import Mounted, Poses
 from calib.photos.photo import Photo
 
 #: Release of the parameters ([SEN] 2.3); a step stays where chance explains its gain with less than P.
@@ -27,6 +28,8 @@ SIGNIFICANT_P = 0.01
 MARK_SIGMA_PX = 0.5
 POINT_SIGMA_M = 0.005
 LEAST_POINTS, LEAST_PHOTOS, LEAST_MARKS = 6, 3, 5
+#: In photos whose pose is known otherwise.
+LEAST_PLACED_MARKS = 4
 #: Probability that any of the good marks of a set is called a blunder (standardised residuals, Baarda 1968).
 BLUNDER_P = 0.01
 #: Fewer of the marks than this agreeing with each other: something is wrong with all of them.
@@ -50,7 +53,7 @@ class Step:
 
 @dataclass(frozen=True)
 class ControlCalibration:
-    """The outcome of ``fieldcal calibrate control``.
+    """The outcome of ``fieldcal calibrate control`` for one camera.
 
     ``used`` (n,): marks that took part or, on check points, were not found to be blunders.
     ``errors_m`` (t, 3): points from their marks minus as surveyed, NaN where fewer than two marks.
@@ -66,6 +69,18 @@ class ControlCalibration:
     errors_m: FloatArray
     blunders: tuple[str, ...]
     notes: tuple[str, ...]
+    mounted: Mounted | None = None
+
+    @property
+    def origin_m(self) -> FloatArray:
+        """Where coordinates of ``marks`` and ``fit`` count from (3,), in the points' own frame."""
+        return np.asarray(self.points[0].xyz_m - self.marks.points_m[0])
+
+    @property
+    def poses(self) -> Poses:
+        """Of the photos, in the points' own frame."""
+        block = self.fit.block
+        return Poses(block.rotations, block.centres_m + self.origin_m, self.fit.pose_covariance)
 
     @property
     def camera(self) -> BrownCamera:
@@ -89,11 +104,13 @@ def prepare(
     mark_sigma_px: float = MARK_SIGMA_PX,
     point_sigma_m: float = POINT_SIGMA_M,
     check_every: int = 0,
+    placed: Collection[str] = (),
 ) -> tuple[MarkSet, tuple[Photo, ...], tuple[ControlPoint, ...], tuple[str, ...]]:
     """Marks of known points in given photos, photos and points that they use, and remarks.
 
     Coordinates are taken from the points' mean. ``check_every``: every so many points in the order of
-    their names is a check point, where no point is one by itself (0: none).
+    their names is a check point, where no point is one by itself (0: none). ``placed``: photos (by name)
+    whose poses are known otherwise, which need fewer marks.
 
     Raises:
         InputError: nothing fits together, or there is too little of it; one sentence.
@@ -120,16 +137,16 @@ def prepare(
             f"No coordinates are known of {', '.join(unknown[:5])}{' ...' if len(unknown) > 5 else ''}."
         )
     names = sorted({mark.point for mark in usable})
-    chosen = [known[name] for name in names]
-    if check_every and not any(point.check for point in chosen):
-        chosen = [replace(p, check=i % check_every == check_every - 1) for i, p in enumerate(chosen)]
+    chosen = with_checks([known[name] for name in names], check_every)
     roles = {point.name: point.check for point in chosen}
     files = sorted({mark.photo.lower() for mark in usable})
     counts = {f: sum(m.photo.lower() == f and not roles[m.point] for m in usable) for f in files}
-    thin = [by_name[f].path.name for f in files if counts[f] < LEAST_MARKS]
+    known_poses = {name.lower() for name in placed}
+    least = {f: LEAST_PLACED_MARKS if f in known_poses else LEAST_MARKS for f in files}
+    thin = [by_name[f].path.name for f in files if counts[f] < least[f]]
     if thin:
         notes.append(f"Fewer than {LEAST_MARKS} control points are marked in {', '.join(thin)}: left out.")
-    files = [f for f in files if counts[f] >= LEAST_MARKS]
+    files = [f for f in files if counts[f] >= least[f]]
     if len(files) < LEAST_PHOTOS:
         raise InputError(
             f"{len(files)} photos have {LEAST_MARKS} marks on control points or more; {LEAST_PHOTOS} are "
@@ -173,6 +190,13 @@ def prepare(
     )
 
 
+def with_checks(points: Sequence[ControlPoint], every: int) -> list[ControlPoint]:
+    """Every so many of the points made a check point, where none is one by itself (0: none)."""
+    if not every or any(point.check for point in points):
+        return list(points)
+    return [replace(point, check=i % every == every - 1) for i, point in enumerate(points)]
+
+
 def _require_shape(xyz_m: FloatArray) -> None:
     if len(xyz_m) < LEAST_POINTS:
         raise InputError(f"{len(xyz_m)} control points are marked; at least {LEAST_POINTS} are needed.")
@@ -187,8 +211,11 @@ def calibrate_control(
     points: tuple[ControlPoint, ...],
     focal_px: float,
     notes: tuple[str, ...] = (),
+    starts: Mapping[int, Pose] | None = None,
 ) -> ControlCalibration:
     """Resection, release in steps, blunders out and named.
+
+    ``starts``: poses known otherwise, by the photos' indices.
 
     Raises:
         AlignmentError: a photo cannot be placed, or there are too few marks.
@@ -196,7 +223,7 @@ def calibrate_control(
     size = photos[0].camera
     start = BrownCamera.ideal(size.width, size.height, focal_px)
     try:
-        block, used = resected(marks, start)
+        block, used = resected(marks, start, starts=starts)
     except AlignmentError as error:
         name = photos[int(str(error))].path.name
         raise AlignmentError(
@@ -366,7 +393,8 @@ def coverage_hint(calibration: ControlCalibration) -> str | None:
     if not empty:
         return None
     return (
-        f"The {' and '.join(empty)} edge{'s' if len(empty) > 1 else ''} of the sensor hold hardly any marks: "
+        f"The {' and '.join(empty)} edge{'s' if len(empty) > 1 else ''} of the sensor "
+        f"hold{'' if len(empty) > 1 else 's'} hardly any marks: "
         "the distortion there is a guess. Take photos nearer, or with the object towards that edge."
     )
 

@@ -5,6 +5,7 @@ Small and dense: some dozens of photos and points. Least squares by Levenberg-Ma
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
 
 import cv2
@@ -18,6 +19,8 @@ from calib.errors import AlignmentError
 from calib.solution import IntArray
 
 BoolArray = NDArray[np.bool_]
+#: rotation_cam_from_world (3, 3), centre_m (3,).
+Pose = tuple[FloatArray, FloatArray]
 #: A resection whose marks miss by more than this share of the image width is not believed.
 _RESECTION_SHARE = 0.02
 
@@ -62,7 +65,8 @@ class Fit:
 
     ``residuals_px`` (n, 2) of all marks, measured minus computed; ``cofactors`` (n, 2, 2): their covariance
     in units of the marks' own (less than 1 for marks that took part, more for others). ``chi2``: weighted
-    square sum.
+    square sum. ``pose_covariance`` (6 k, 6 k), scaled by sigma0: of each photo the turn on the camera's side
+    (rotation vector), then the centre in m.
     """
 
     block: Block
@@ -71,6 +75,7 @@ class Fit:
     cofactors: FloatArray
     chi2: float
     freedom: int
+    pose_covariance: FloatArray
 
     def standardised(self) -> FloatArray:
         """Length (n,) of each mark's residual in sigmas of one px of noise: Rayleigh's where it is good."""
@@ -83,6 +88,16 @@ class Fit:
     @property
     def sigma0(self) -> float:
         return float(np.sqrt(self.chi2 / self.freedom)) if self.freedom > 0 else float("nan")
+
+
+@dataclass(frozen=True)
+class _Pose:
+    """Of one photo: rotation (3, 3), centre (3,), which marks (n,) agree and their square sum of misses."""
+
+    rotation: FloatArray
+    centre_m: FloatArray
+    agree: BoolArray
+    miss: float
 
 
 def in_camera(marks: MarkSet, block: Block) -> FloatArray:
@@ -98,8 +113,13 @@ def residuals_px(marks: MarkSet, block: Block) -> FloatArray:
     return np.asarray(marks.pixels - block.camera.project(local[:, :2] / depth[:, None]))
 
 
-def resected(marks: MarkSet, camera: BrownCamera, seed: int = 0) -> tuple[Block, BoolArray]:
+def resected(
+    marks: MarkSet, camera: BrownCamera, seed: int = 0, starts: Mapping[int, Pose] | None = None
+) -> tuple[Block, BoolArray]:
     """Poses from the control points of each photo, and which marks agree with them (n,).
+
+    ``starts``: poses known otherwise (rotation_cam_from_world, centre_m), by the photos' indices, for photos
+    with too few marks to be sure of a resection.
 
     Raises:
         AlignmentError: a photo cannot be placed; its index is in the message's photo number.
@@ -110,11 +130,31 @@ def resected(marks: MarkSet, camera: BrownCamera, seed: int = 0) -> tuple[Block,
     threshold = _RESECTION_SHARE * camera.width / camera.f_px
     for photo in range(k):
         mine = np.flatnonzero((marks.photo == photo) & marks.control[marks.point])
-        rays = camera.unproject(marks.pixels[mine])
+        rays = np.ascontiguousarray(camera.unproject(marks.pixels[mine]))
+        points = np.ascontiguousarray(marks.points_m[marks.point[mine]])
+        if starts is not None and photo in starts:
+            rotations[photo], centres[photo] = starts[photo]
+            near = _miss(points, rays, *starts[photo]) < threshold
+            if near.sum() < 4:
+                raise AlignmentError(f"{photo}")
+            agree[mine[near]] = True
+            continue
+        tries = (_pose(points, rays, chosen, threshold) for chosen in _samples(points, rays, threshold, seed))
+        best = max(filter(None, tries), key=lambda pose: (pose.agree.sum(), -pose.miss), default=None)
+        if best is None or best.agree.sum() < 4:
+            raise AlignmentError(f"{photo}")
+        rotations[photo], centres[photo], agree[mine] = best.rotation, best.centre_m, best.agree
+    return Block(camera, rotations, centres, marks.points_m.copy()), agree
+
+
+def _samples(points_m: FloatArray, rays: FloatArray, threshold: float, seed: int) -> Iterator[IntArray]:
+    """Which of a photo's marks to try to place it by."""
+    every = np.arange(len(points_m))
+    if len(every) > 5:
         cv2.setRNGSeed(seed)
-        found, turn, shift, inliers = cv2.solvePnPRansac(
-            np.ascontiguousarray(marks.points_m[marks.point[mine]]),
-            np.ascontiguousarray(rays),
+        found, _, _, inliers = cv2.solvePnPRansac(
+            points_m,
+            rays,
             np.eye(3),
             np.zeros(4),
             iterationsCount=500,
@@ -122,12 +162,38 @@ def resected(marks: MarkSet, camera: BrownCamera, seed: int = 0) -> tuple[Block,
             confidence=0.9999,
             flags=cv2.SOLVEPNP_SQPNP,
         )
-        if not found or inliers is None or len(inliers) < 4:
-            raise AlignmentError(f"{photo}")
-        rotations[photo] = cv2.Rodrigues(turn)[0]
-        centres[photo] = -(rotations[photo].T @ shift).ravel()
-        agree[mine[inliers.ravel()]] = True
-    return Block(camera, rotations, centres, marks.points_m.copy()), agree
+        if found and inliers is not None and len(inliers) >= 4:
+            yield np.asarray(inliers.ravel(), np.int64)
+    elif len(every) >= 4:
+        # OpenCV's RANSAC takes four or five as they are, by methods that fail where they lie in a plane.
+        yield every
+        if len(every) == 5:
+            yield from (np.delete(every, i) for i in every)
+
+
+def _pose(points_m: FloatArray, rays: FloatArray, chosen: IntArray, threshold: float) -> _Pose | None:
+    """A photo placed by its ``chosen`` marks; None where they cannot (all on one line)."""
+    own = points_m[chosen], rays[chosen], np.eye(3), np.zeros(4)
+    try:
+        found, turn, shift = cv2.solvePnP(*own, flags=cv2.SOLVEPNP_SQPNP)
+    except cv2.error:
+        return None
+    if not found:
+        return None
+    turn, shift = cv2.solvePnPRefineLM(*own, turn, shift)
+    rotation = np.asarray(cv2.Rodrigues(turn)[0], float)
+    centre_m = -(rotation.T @ shift).ravel()
+    miss = _miss(points_m, rays, rotation, centre_m)
+    agree = miss < threshold
+    return _Pose(rotation, centre_m, agree, float(np.sum(miss[agree] ** 2)))
+
+
+def _miss(points_m: FloatArray, rays: FloatArray, rotation: FloatArray, centre_m: FloatArray) -> FloatArray:
+    """How far (n,) a pose puts points (n, 3) from their rays (n, 2); infinite behind the camera."""
+    local = (points_m - centre_m) @ rotation.T
+    front = local[:, 2] > 1e-6
+    miss = np.linalg.norm(local[:, :2] / np.where(front, local[:, 2], 1.0)[:, None] - rays, axis=1)
+    return np.where(front, miss, np.inf)
 
 
 def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray) -> Fit:
@@ -168,7 +234,8 @@ def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray)
         block, right, design, damping = trial, new_right, new_design, max(damping / 10, 1e-14)
         if gain < 1e-9 * max(cost, 1e-9) and damping < 1e-6:
             break
-    scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
+    scale = np.linalg.norm(design, axis=0)
+    scale[scale == 0] = 1.0  # A photo that lost all its marks.
     inverse = scipy.linalg.pinvh((design / scale).T @ (design / scale)) / np.outer(scale, scale)
     freedom = rows - size
     covariance = np.zeros((len(BROWN_NAMES), len(BROWN_NAMES)))
@@ -179,7 +246,8 @@ def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray)
     carried = (rows_of.reshape(2 * len(marks), -1) @ inverse).reshape(rows_of.shape)
     hat = carried @ rows_of.transpose(0, 2, 1)
     cofactors = np.eye(2) + np.where(used, -1.0, 1.0)[:, None, None] * hat
-    return Fit(block, covariance, residuals_px(marks, block), cofactors, cost, freedom)
+    poses = inverse[: 6 * k, : 6 * k] * cost / freedom
+    return Fit(block, covariance, residuals_px(marks, block), cofactors, cost, freedom, poses)
 
 
 def _moved(block: Block, step: FloatArray, columns: BoolArray, loose: IntArray) -> Block:

@@ -103,7 +103,7 @@ def read_marks(path: Path) -> Marks:
     Raises:
         FormatError: the file cannot be read or used; one sentence.
     """
-    text = _text(path)
+    text = read_table_text(path)
     if text.lstrip().startswith("<"):
         return _metashape(path, text)
     first = next((line for line in text.splitlines() if line.strip()), "")
@@ -115,7 +115,7 @@ def read_marks(path: Path) -> Marks:
     point = _column(path, columns, _NAMES, "point")
     u, v = _column(path, columns, _U, "u_px"), _column(path, columns, _V, "v_px")
     marks = [
-        Mark(_base(row[photo]), row[point].strip(), _number(path, n, row[u]), _number(path, n, row[v]))
+        Mark(base_name(row[photo]), row[point].strip(), _number(path, n, row[u]), _number(path, n, row[v]))
         for n, row in rows
     ]
     return Marks(_unique(path, marks), (), f"{path.name} (CSV)")
@@ -132,7 +132,9 @@ def _metashape(path: Path, text: str) -> Marks:
     chunk = root if root.tag == "chunk" else root.find("chunk")
     if chunk is None or chunk.find("markers") is None:
         raise FormatError(f"{path} is not a file of markers as Metashape exports them.")
-    cameras = {node.get("id"): _base(node.get("label") or "") for node in chunk.iterfind("cameras/camera")}
+    cameras = {
+        node.get("id"): base_name(node.get("label") or "") for node in chunk.iterfind("cameras/camera")
+    }
     labels: dict[str | None, str] = {}
     points: list[ControlPoint] = []
     for node in chunk.iterfind("markers/marker"):
@@ -174,7 +176,7 @@ def _odm(path: Path, text: str) -> Marks:
         known = places.setdefault(name, (x, y, z))
         if known != (x, y, z):
             raise FormatError(f"{path}, line {number}: point {name} has two different positions.")
-        marks.append(Mark(_base(fields[5]), name, u, v))
+        marks.append(Mark(base_name(fields[5]), name, u, v))
     points = [ControlPoint(name, place) for name, place in places.items()]
     if not points:
         raise FormatError(f"{path} holds no marks.")
@@ -204,7 +206,12 @@ def _unique(path: Path, marks: list[Mark]) -> tuple[Mark, ...]:
     return tuple(marks)
 
 
-def _text(path: Path) -> str:
+def read_table_text(path: Path) -> str:
+    """The text of a file of points or marks.
+
+    Raises:
+        FormatError: it cannot be read, is no text or far too large; one sentence.
+    """
     try:
         if path.stat().st_size > _LARGEST_BYTES:
             raise FormatError(f"{path} is too large to be a list of points or marks.")
@@ -220,7 +227,7 @@ def _table(path: Path, unnamed: tuple[str, ...]) -> tuple[list[tuple[int, list[s
 
     ``unnamed``: what the columns are where the first line names none, as Pix4D writes them.
     """
-    text = _text(path)
+    text = read_table_text(path)
     first = text.split("\n", 1)[0]
     delimiter = max(",;\t", key=first.count)
     if first.count(delimiter) == 0:
@@ -283,6 +290,6 @@ def _is_check(path: Path, number: int, row: list[str], columns: dict[str, int]) 
     return role == "check"
 
 
-def _base(name: str) -> str:
+def base_name(name: str) -> str:
     """A file's name without its folders, whichever system wrote them."""
     return PureWindowsPath(PurePosixPath(name.strip()).name).name

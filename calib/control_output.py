@@ -2,14 +2,18 @@
 
 from __future__ import annotations
 
+import csv
+import io
 import json
 import math
+from collections.abc import Sequence
 from dataclasses import replace
 from importlib import metadata
 from typing import Any, Literal
 
 import numpy as np
 from pydantic import Field
+from scipy.spatial.transform import Rotation
 
 from calib.control import ControlCalibration, coverage_hint
 from calib.control_subset import subsets
@@ -17,7 +21,9 @@ from calib.figures import correlation_figure
 from calib.figures.control import control_profiles_figure, marks_figure
 from calib.findings import State
 from calib.html_page import drawn_sign, facts_section, html_page, sentence, table_section
+from calib.mount import Mounted
 from calib.onsite import calibration_date
+from calib.onsite_rules import reference_limit_percent
 from calib.propagation import BROWN_KEYS, correlations
 from calib.reference import Reference
 from calib.references import reference_of_body
@@ -57,6 +63,22 @@ class SubsetModel(JsonModel):
     apart_sigmas: float
 
 
+class MountModel(JsonModel):
+    """How this camera sits on another: rotation from that one's axes, rows first, and offset in them; sigmas
+    of one pair of photos and of the mean; ``miss_px``: marks where the other's poses put them, rms."""
+
+    on: str
+    pairs: int
+    rotation: list[list[float]]
+    offset_m: list[float]
+    scatter_deg: list[float]
+    scatter_m: list[float]
+    sigma_deg: list[float]
+    sigma_m: list[float]
+    miss_px: float
+    placed: list[str]
+
+
 class ControlReport(JsonModel):
     """The whole of ``control.json``: f, c, b in px, K and P in focal units; ``sigma`` of the free ones."""
 
@@ -75,6 +97,17 @@ class ControlReport(JsonModel):
     hint: str | None
     notes: list[str]
     saved_as: str | None
+    #: Share that sigma of f must not exceed for a reference, percent.
+    sigma_limit_percent: float
+    mount: MountModel | None = None
+
+
+class CampaignReport(JsonModel):
+    """Several cameras over the same control; ``failed``: what could not be calibrated, and why."""
+
+    schema_: Literal["fieldcal.controls/1"] = Field(alias="schema")
+    cameras: list[ControlReport]
+    failed: list[str]
 
 
 def control_report(made: ControlCalibration, saved_as: str | None = None) -> ControlReport:
@@ -117,12 +150,75 @@ def control_report(made: ControlCalibration, saved_as: str | None = None) -> Con
         hint=coverage_hint(made),
         notes=[printable(text) for text in made.notes],
         saved_as=saved_as,
+        sigma_limit_percent=reference_limit_percent(made.camera.width),
+        mount=None if made.mounted is None else _mount(made.mounted),
+    )
+
+
+def _mount(mounted: Mounted) -> MountModel:
+    mount = mounted.mount
+    return MountModel(
+        on=mounted.on,
+        pairs=mount.pairs,
+        rotation=mount.rotation_second_from_first.tolist(),
+        offset_m=mount.offset_m.tolist(),
+        scatter_deg=mount.scatter_deg.tolist(),
+        scatter_m=mount.scatter_m.tolist(),
+        sigma_deg=mount.sigma_deg.tolist(),
+        sigma_m=mount.sigma_m.tolist(),
+        miss_px=mounted.miss_px,
+        placed=[printable(name) for name in mounted.placed],
     )
 
 
 def control_json(made: ControlCalibration, saved_as: str | None = None) -> str:
     data = control_report(made, saved_as).model_dump(mode="json", by_alias=True)
     return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def campaign_json(
+    made: Sequence[ControlCalibration], saved_as: Sequence[str | None], failed: Sequence[str]
+) -> str:
+    """One camera as :func:`control_json`; several, or some that failed, together."""
+    if len(made) == 1 and not failed:
+        return control_json(made[0], saved_as[0])
+    report = CampaignReport(
+        schema="fieldcal.controls/1",
+        cameras=[control_report(one, name) for one, name in zip(made, saved_as, strict=True)],
+        failed=[printable(text) for text in failed],
+    )
+    data = report.model_dump(mode="json", by_alias=True)
+    return json.dumps(data, indent=2, ensure_ascii=False, allow_nan=False) + "\n"
+
+
+def expected_csv(mounted: Mounted) -> str:
+    """Where points should be in photos that have too few marks, in the columns of a file of marks."""
+    out = io.StringIO()
+    rows = csv.writer(out, lineterminator="\n")
+    rows.writerow(("photo", "point", "u_px", "v_px"))
+    rows.writerows((m.photo, m.point, m.u_px, m.v_px) for m in mounted.expected)
+    return out.getvalue()
+
+
+def mount_words(mounted: Mounted) -> tuple[str, ...]:
+    """What is known of the mount, in sentences."""
+    mount = mounted.mount
+    x, y, z = 1000 * mount.offset_m
+    turned = float(np.degrees(Rotation.from_matrix(mount.rotation_second_from_first).magnitude()))
+    scatter_deg, scatter_mm = float(mount.scatter_deg.max()), 1000 * float(mount.scatter_m.max())
+    said = [
+        f"Mounted on {mounted.on}, from {mount.pairs} pairs of photos of the same moment: {x:+.0f} mm to its "
+        f"right, {y:+.0f} mm down, {z:+.0f} mm ahead, turned by {turned:.2f} degrees (one pair scatters by "
+        f"{scatter_mm:.0f} mm and {scatter_deg:.2f} degrees, the mean is known to "
+        f"{1000 * float(mount.sigma_m.max()):.0f} mm and {float(mount.sigma_deg.max()):.2f} degrees).",
+        f"Placed by {mounted.on} alone, the marks are missed by {mounted.miss_px:.1f} px rms.",
+    ]
+    if mounted.placed:
+        said.append(
+            f"Photos with few marks that were placed through it: {', '.join(mounted.placed[:5])}"
+            f"{' ...' if len(mounted.placed) > 5 else ''}."
+        )
+    return tuple(said)
 
 
 def control_reference(made: ControlCalibration, name: str, temperature_c: float | None) -> Reference:
@@ -172,6 +268,7 @@ def render_control(made: ControlCalibration, saved_as: str | None = None) -> str
         _subsets(made),
         figures_html(_figures(made)),
         _parameters(made),
+        _mount_section(made),
         _provenance(made, saved_as),
     ]
     return html_page(f"CALIBRATED: {camera_name(made.photos[0].camera)}", "\n".join([*parts, "</main>"]))
@@ -277,6 +374,31 @@ def _parameters(made: ControlCalibration) -> str:
         ("Parameter", "This calibration"),
         rows,
     )
+
+
+def _mount_section(made: ControlCalibration) -> str:
+    if made.mounted is None:
+        return ""
+    mounted, mount = made.mounted, made.mounted.mount
+    rows = [
+        (f"{side}, mm", quantity(1000 * float(v), 1000 * float(s), "", 2))
+        for side, v, s in zip(("To its right", "Down", "Ahead"), mount.offset_m, mount.sigma_m, strict=True)
+    ]
+    turn = Rotation.from_matrix(mount.rotation_second_from_first).as_rotvec(degrees=True)
+    rows += [
+        (f"Turned about {axis}, degrees", quantity(float(v), float(s), "", 2))
+        for axis, v, s in zip(("its right", "down", "ahead"), turn, mount.sigma_deg, strict=True)
+    ]
+    rows += [
+        (
+            "One pair scatters by",
+            f"{1000 * mount.scatter_m.max():.0f} mm, {mount.scatter_deg.max():.2f} degrees",
+        ),
+        ("Marks missed through it", f"{mounted.miss_px:.1f} px rms"),
+        ("Photos placed through it", ", ".join(mounted.placed) or "none needed it"),
+    ]
+    title = f"Mounted on {mounted.on}, from {mount.pairs} pairs of photos"
+    return facts_section("mount", title, rows)
 
 
 def _provenance(made: ControlCalibration, saved_as: str | None) -> str:

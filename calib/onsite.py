@@ -186,8 +186,8 @@ _WALL_CURES = {
     "alignment": "Take the photos again from one end of the wall to the other without gaps, sharp and in "
     "even light.",
     "coverage": "Let the wall fill the whole picture, corners included: go nearer, or choose a larger wall.",
-    "focal-sigma": f"Add photos from both sides at about 45 degrees, {_ROLLED}.",
-    "model-sensitivity": f"Add photos from both sides at about 45 degrees, {_ROLLED}.",
+    "focal-sigma": f"Add photos head-on and from both sides at about 45 degrees, {_ROLLED}.",
+    "model-sensitivity": f"Add photos head-on and from both sides at about 45 degrees, {_ROLLED}.",
     "cross-validation": "Take the photos again; zoom and focus must not change between them.",
     "wall-bend-along": "Try another wall. If that one bends as much, it is the calibration: add photos, "
     f"{_ROLLED}.",

@@ -22,11 +22,15 @@ from calib.solution import Network, Solution
 FLATNESS_LIMIT_PERCENT = 0.1
 #: A reference must be known four times better than what it is to judge: 1.96 sigma within 0.1 %.
 REFERENCE_SIGMA_PERCENT = 0.05
+#: What that is at the edge of [C&D]'s pictures of 4000 px; a thermal camera's pixel is coarser.
+REFERENCE_SIGMA_EDGE_PX = 1.0
 #: [C&D] methods: 20-30 photos, axes at about 45 degrees to the wall, overlap above 80 %.
 PHOTOS_WANTED, PHOTOS_LEAST = 20, 8
 SIDE_DEG, STEEP_SIDE_DEG = 20.0, 60.0
 SIDE_SHARE_PERCENT = 20.0
 OVERLAP_WANTED_PERCENT, OVERLAP_LEAST_PERCENT = 80.0, 60.0
+#: With fewer photos head-on the focal length is known six times worse (benchmarks, onsite).
+HEAD_ON_SHARE = 0.15
 #: Less than this of the tie points on the wall, and it is no picture of a wall.
 WALL_SHARE_PERCENT = 40.0
 #: Tie points a photo should have.
@@ -167,6 +171,10 @@ def wall_angles(flatness: Flatness) -> Finding:
             State.PASS,
             f". {steep} of them are turned more than {STEEP_SIDE_DEG:g} degrees; about 45 are better.",
         )
+    if head_on < HEAD_ON_SHARE * k:
+        return finding(
+            State.PASS, ". Head-on photos between them make the focal length several times better known."
+        )
     return finding(State.PASS, ".")
 
 
@@ -220,6 +228,15 @@ def wall_overlap(solution: Solution, flatness: Flatness) -> Finding:
             State.UNKNOWN, usual, f"{text}; {OVERLAP_WANTED_PERCENT:g} % are better (shorter steps)."
         )
     return finding(State.PASS, usual, f"{text}.")
+
+
+def reference_limit_percent(width_px: int) -> float:
+    """How well f must be known for a reference on control points, in percent, one sigma.
+
+    0.05 % of [C&D]'s pictures is a pixel at their edge; cameras of fewer pixels need no more than that of
+    their own.
+    """
+    return max(REFERENCE_SIGMA_PERCENT, 100 * REFERENCE_SIGMA_EDGE_PX / (width_px / 2))
 
 
 def focal_sigma(e: Evidence) -> Finding:

@@ -8,16 +8,16 @@ from __future__ import annotations
 import re
 from collections.abc import Callable, Collection, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 
-from calib.align.features import decode_gray
+from calib.align.features import photo_gray
 from calib.camera import FloatArray
 from calib.control_files import ControlPoint, Mark
 from calib.errors import InputError, PhotoError
+from calib.photos.photo import Photo
 
 #: Precision of a corner that was detected, px, and of the corners of a printed board, m.
 DETECTED_SIGMA_PX = 0.1
@@ -120,7 +120,7 @@ def tag_detector(dictionary: str, names: Collection[str] = ()) -> Detector:
 
 
 def find_targets(
-    photos: Sequence[Path], detect: Detector, progress: Callable[[int], None] | None = None
+    photos: Sequence[Photo], detect: Detector, progress: Callable[[int], None] | None = None
 ) -> tuple[Mark, ...]:
     """Marks of all targets in all photos; a name that stands twice in a photo is left out of it.
 
@@ -128,14 +128,14 @@ def find_targets(
         InputError: nothing was found at all.
     """
     marks: list[Mark] = []
-    for done, path in enumerate(photos):
+    for done, photo in enumerate(photos):
         try:
-            gray, _ = decode_gray(path, None)
+            gray, _ = photo_gray(photo, None)
         except PhotoError:
             continue
         found = detect(gray)
         names = [name for name, _, _ in found]
-        marks += [Mark(path.name, name, u, v) for name, u, v in found if names.count(name) == 1]
+        marks += [Mark(photo.path.name, name, u, v) for name, u, v in found if names.count(name) == 1]
         if progress is not None:
             progress(done + 1)
     if not marks:

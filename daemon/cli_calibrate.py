@@ -13,16 +13,10 @@ import typer
 from rich.text import Text
 
 from calib.check import read_set
-from calib.control import (
-    MARK_SIGMA_PX,
-    POINT_SIGMA_M,
-    ControlCalibration,
-    calibrate_control,
-    coverage_hint,
-    prepare,
-)
+from calib.control import MARK_SIGMA_PX, POINT_SIGMA_M, coverage_hint
+from calib.control_cameras import Given, calibrate_cameras
 from calib.control_files import ControlPoint, Mark, read_marks, read_points
-from calib.control_output import control_json, control_reference, render_control, summary
+from calib.control_output import mount_words, summary
 from calib.errors import InputError
 from calib.files import check_file_writable, output_folder, write_text_atomic
 from calib.onsite import (
@@ -35,11 +29,12 @@ from calib.onsite import (
 )
 from calib.onsite_json import calibration_json
 from calib.onsite_report import render_calibration
-from calib.onsite_rules import REFERENCE_SIGMA_PERCENT
+from calib.onsite_rules import reference_limit_percent
 from calib.photos import collect, read_photos
 from calib.photos.sort import require_block
 from calib.reference_file import write_reference_file
 from calib.references import check_saving, save_reference
+from calib.scan import SCAN_RADIUS_M
 from calib.targets import (
     DETECTED_SIGMA_PX,
     Detector,
@@ -50,21 +45,27 @@ from calib.targets import (
     tag_detector,
 )
 from calib.wording import camera_name, path_text, photos_given
+from daemon.cli_mark import (
+    FocalOption,
+    PhotosArgument,
+    ScanOption,
+    ScanRadiusOption,
+    mark_command,
+    scanned,
+)
+from daemon.control_kept import EXPECTED_CSV, KeptControl, keep_campaign
 from daemon.output import console, table, write_stdout
 from daemon.progress import progress_line
 from daemon.terminal import paragraph, print_findings, print_headline
 
 app = typer.Typer(
-    help="Calibrate a camera on site: on a flat wall or from any convergent flight.",
+    help="Calibrate a camera on site: on a flat wall, from any convergent flight or on control points.",
     no_args_is_help=True,
     rich_markup_mode=None,
 )
 DEFAULT_OUT = Path("fieldcal-out")
 REPORT_HTML, REPORT_JSON, REFERENCE_JSON = "calibration.html", "calibration.json", "reference.json"
 
-PhotosArgument = Annotated[
-    list[Path], typer.Argument(metavar="PHOTOS...", help="Photos, or folders of photos.", readable=False)
-]
 NameOption = Annotated[
     str | None, typer.Option(help="Name in your store (default: camera and serial number).")
 ]
@@ -182,6 +183,9 @@ def _show(made: Calibration, wanted: _Wanted, saved: str | None) -> None:
     say.print(Text(f"Report: {path_text(wanted.out / REPORT_HTML)}"), soft_wrap=True)
 
 
+app.command("mark")(mark_command)
+
+
 @app.command()
 def control(
     photos: PhotosArgument,
@@ -204,9 +208,9 @@ def control(
         Path | None,
         typer.Option(metavar="FILE", help="Points: CSV (default: those in the file of marks)."),
     ] = None,
-    focal_px: Annotated[
-        float | None, typer.Option(metavar="PX", help="Focal length to start from (default: the photos').")
-    ] = None,
+    scan: ScanOption = None,
+    scan_radius: ScanRadiusOption = SCAN_RADIUS_M,
+    focal_px: FocalOption = None,
     mark_sigma_px: Annotated[
         float | None,
         typer.Option(
@@ -229,54 +233,36 @@ def control(
     json_to: JsonOption = None,
     quiet: QuietOption = False,
 ) -> int:
-    """Calibrate on control points, parameters in steps. Exit code 0 done, 3 if f is too vague to keep."""
+    """Calibrate on control points, parameters in steps; two cameras at once are calibrated each for itself.
+    Exit code 0 done, 3 if f is too vague to keep."""
     wanted = _Wanted(name, out, temperature, json_to, quiet)
     if name is not None:
         check_saving(name)
+    if board is not None and scan is not None:
+        raise InputError("A board brings its own points; leave --scan away.")
     found_marks, surveyed, detect = _marks_and_points(marks, points, board, tags)
     hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
     with progress_line(hidden, "reading metadata") as report:
+        surveyed, remarks = scanned(surveyed, scan, scan_radius, report)
         files = collect(photos)
         read, bad = read_photos(files, lambda done: report("reading metadata", done, len(files)))
         if not read:
             raise InputError(f"No photo can be read ({bad[0].path}: {bad[0].reason}).")
         if detect is not None:
-            paths = [photo.path for photo in read]
             found_marks = find_targets(
-                paths, detect, lambda done: report("looking for targets", done, len(paths))
+                read, detect, lambda done: report("looking for targets", done, len(read))
             )
     usual = MARK_SIGMA_PX if detect is None else DETECTED_SIGMA_PX
-    marked, kept, chosen, notes = prepare(
-        read, surveyed, found_marks, mark_sigma_px or usual, point_sigma_m, check_every
-    )
-    start = focal_px or next((p.focal_px for p in kept if p.focal_px), None)
-    if start is None:
-        raise InputError("The photos do not state their focal length; give it with --focal-px.")
-    if not 0.1 < start / kept[0].camera.width < 100:
-        raise InputError(f"{start:g} px is no focal length of photos {kept[0].camera.width} px wide.")
-    made = calibrate_control(marked, kept, chosen, start, notes)
-    saving = wanted.name or default_name(kept[0].camera)
-    check_saving(saving)
-    sigma = 100 * math.sqrt(made.fit.covariance[0, 0]) / made.camera.f_px
-    good = sigma <= REFERENCE_SIGMA_PERCENT
-    with output_folder(out):
-        if json_to is not None and json_to != "-":
-            check_file_writable(Path(json_to))
-        saved = None
-        (out / REFERENCE_JSON).unlink(missing_ok=True)
-        if good:
-            reference = control_reference(made, saving, temperature)
-            write_reference_file(reference, out / REFERENCE_JSON)
-            save_reference(reference)
-            saved = saving
-        write_text_atomic(out / "control.html", render_control(made, saved))
-        write_text_atomic(out / "control.json", control_json(made, saved))
-        if json_to is not None and json_to != "-":
-            write_text_atomic(Path(json_to), control_json(made, saved))
-    if json_to == "-":
-        write_stdout(control_json(made, saved))
-    _show_control(made, wanted, saved, sigma)
-    return 0 if good else 3
+    sigma_px = mark_sigma_px or usual
+    given = Given(surveyed, found_marks, focal_px, sigma_px, point_sigma_m, check_every, remarks=remarks)
+    campaign = calibrate_cameras(read, given)
+    kept = keep_campaign(campaign, out, name, temperature, json_to)
+    alone = len(kept) + len(campaign.failed) == 1
+    for one in kept:
+        _show_control(one, wanted, alone)
+    for photo, why in campaign.failed:
+        console(json_to == "-").print(f"{camera_name(photo.camera)} is not calibrated: {why}", soft_wrap=True)
+    return 0 if all(one.saved_as for one in kept) and not campaign.failed else 3
 
 
 def _marks_and_points(
@@ -301,10 +287,13 @@ def _marks_and_points(
     return (), surveyed, tag_detector(str(tags), {point.name for point in surveyed})
 
 
-def _show_control(made: ControlCalibration, wanted: _Wanted, saved: str | None, sigma: float) -> None:
+def _show_control(kept: KeptControl, wanted: _Wanted, alone: bool) -> None:
+    made, saved, sigma = kept.made, kept.saved_as, kept.sigma_percent
     to_stderr = wanted.json_to == "-"
     say = console(to_stderr)
     headline = f"f {made.camera.f_px:.2f} px, known to {sigma:.4f} % (1 sigma)"
+    if not alone:
+        headline = f"{camera_name(made.photos[0].camera)}: {headline}"
     if wanted.quiet:
         if not to_stderr:
             say.print(headline)
@@ -316,22 +305,30 @@ def _show_control(made: ControlCalibration, wanted: _Wanted, saved: str | None, 
     for step in made.steps:
         chance = "" if step.chance is None else f"{step.chance:.2g}"
         check = f"{step.check_rms_px:.2f}" if math.isfinite(step.check_rms_px) else "-"
-        kept = "kept" if step.kept else "left out"
-        rows.add_row(step.name, f"{step.sigma0:.2f}", f"{step.control_rms_px:.2f}", check, chance, kept)
+        answer = "kept" if step.kept else "left out"
+        rows.add_row(step.name, f"{step.sigma0:.2f}", f"{step.control_rms_px:.2f}", check, chance, answer)
     say.print(rows)
     for label, check_points in (("control", False), ("check", True)):
         errors = made.rmse_m(check_points)
         if np.isfinite(errors).all():
             x, y, z = 1000 * errors
             say.print(f"{label} points: RMSE x {x:.1f}, y {y:.1f}, z {z:.1f} mm")
-    for text in (*made.blunders, *made.notes, *filter(None, [coverage_hint(made)])):
+    mount = () if made.mounted is None else mount_words(made.mounted)
+    for text in (*made.blunders, *made.notes, *mount, *filter(None, [coverage_hint(made)])):
         say.print(text, soft_wrap=True)
+    if made.mounted is not None and made.mounted.expected:
+        say.print(
+            f"Where the points should be in its other photos: {path_text(kept.folder / EXPECTED_CSV)}",
+            soft_wrap=True,
+        )
     if saved is None:
-        limit = f"{REFERENCE_SIGMA_PERCENT:g} %"
+        limit = f"{reference_limit_percent(made.camera.width):.2g} %"
         say.print(
             f"Not saved: a reference needs {limit}. Mark more points, towards the corners too.",
             soft_wrap=True,
         )
     else:
         say.print(f"Saved as {saved}: fieldcal check PHOTOS --reference {saved}", soft_wrap=True)
-    say.print(f"Report: {path_text(wanted.out / 'control.html')}", soft_wrap=True)
+    say.print(f"Report: {path_text(kept.folder / 'control.html')}", soft_wrap=True)
+    if not alone:
+        say.print()

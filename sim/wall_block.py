@@ -16,25 +16,25 @@ from calib.camera import BrownCamera, FloatArray
 from calib.field import LENS_NAMES, Lens
 from calib.photos.photo import CameraIdentity, Photo, Processing
 from calib.solution import Georeference, Observations
-from calib.wall import DISTANCE_M, PAIRS, wall_poses
+from calib.wall import DISTANCE_M, OBLIQUE_DEG, OVERLAP, PAIRS, Wall, wall_poses
 from sim.flights import phantom3
 from sim.pattern import random_pattern
 
 
 @dataclass(frozen=True)
 class WallOptions:
-    """``bend_percent``: height of the wall's middle over its ends, percent of the distance; ``rough_m``:
-    rms of its surface. ``match_share``: probability that a view of a spot is kept. ``upright``: every
-    so many photos is taken with the camera turned by 90 degrees (0: none). ``one_sided``: all photos
-    look from one side. ``pattern_px``: non-Brown part of the lens at 4000 px width."""
+    """``advised``: photographed as the manual advises, ``pairs`` not counting; otherwise [C&D]'s level pairs.
+    ``bend_percent``: height of the wall's middle over its ends, percent of the distance; ``rough_m``: rms of
+    its surface. ``match_share``: probability that a view of a spot is kept. ``one_sided``: pairs from one
+    side only. ``pattern_px``: non-Brown part of the lens at 4000 px width."""
 
     pairs: int = PAIRS
+    advised: bool = False
     points: int = 1200
     bend_percent: float = 0.0
     rough_m: float = 0.002
     noise_px: float = 0.3
     match_share: float = 0.5
-    upright: int = 0
     one_sided: bool = False
     pattern_px: float = 0.5
 
@@ -47,15 +47,12 @@ def wall_outcome(seed: int, options: WallOptions | None = None, camera: BrownCam
     """
     options, camera = options or WallOptions(), camera or phantom3()
     rng = np.random.default_rng([seed, 21])
-    wall = wall_poses(camera, options.pairs)
+    wall = advised_wall(camera) if options.advised else wall_poses(camera, options.pairs)
     rotations, centres = wall.rotations_cam_from_world, wall.centres_m
     if options.one_sided:
         rotations, centres = rotations[::2], centres[::2]
     k = len(centres)
-    turned = np.zeros((k, 3))
-    if options.upright:
-        turned[options.upright // 2 :: options.upright, 2] = np.pi / 2
-    rotations = rotation_exp(turned) @ rotation_exp(np.radians(2.0) * rng.normal(size=(k, 3))) @ rotations
+    rotations = rotation_exp(np.radians(2.0) * rng.normal(size=(k, 3))) @ rotations
     centres = centres + 0.3 * rng.normal(size=(k, 3))
     spots = rng.uniform(-0.5, 0.5, (options.points, 2)) * [wall.width_m, wall.height_m]
     bend = -options.bend_percent / 100 * DISTANCE_M * (2 * spots[:, 0] / wall.width_m) ** 2
@@ -81,6 +78,28 @@ def wall_outcome(seed: int, options: WallOptions | None = None, camera: BrownCam
     solution = block.solution(_photos(camera, k), nowhere, (k,))
     outcome = measured(solution, block, None)
     return replace(outcome, flatness=measure_flatness(block, outcome.estimate))
+
+
+def advised_wall(camera: BrownCamera, places: int = 8) -> Wall:
+    """At every place along the wall three photos, from the left, head-on and from the right.
+
+    From 8 m and 12 m by turns, and at two places level, at the next two with the camera upright. Places are a
+    fifth of a photo's width apart.
+    """
+    footprint = DISTANCE_M * camera.width / camera.f_px
+    spots = (np.arange(places) - (places - 1) / 2) * (1 - OVERLAP) * footprint
+    rotations, centres = [], []
+    for i, spot in enumerate(spots):
+        distance = (8.0, 12.0)[i % 2]
+        roll = rotation_exp(np.array([[0.0, 0.0, np.pi / 2 * (i // 2 % 2)]]))[0]
+        for side in (1.0, 0.0, -1.0):
+            angle = side * np.radians(OBLIQUE_DEG)
+            forward = np.array([np.sin(angle), 0.0, -np.cos(angle)])
+            right = np.array([np.cos(angle), 0.0, np.sin(angle)])
+            rotations.append(roll @ np.stack([right, np.cross(forward, right), forward]))
+            centres.append([spot - distance * np.tan(angle), 0.0, distance])
+    width = float(np.ptp(spots)) + footprint
+    return Wall(np.array(rotations), np.array(centres), width, footprint / 2)
 
 
 def _seen(

@@ -138,8 +138,8 @@ class Browser:
         elif method == "Log.entryAdded" and params["entry"]["level"] in ("error", "warning"):
             self.errors.append(params["entry"]["text"])
 
-    def open(self, page: Path, width: int, height: int = 800, mobile: bool = False) -> None:
-        """Load a file and wait until its load event has run."""
+    def open(self, page: Path | str, width: int, height: int = 800, mobile: bool = False) -> None:
+        """Load a file, or the page at an address, and wait until its load event has run."""
         self.call(
             "Emulation.setDeviceMetricsOverride",
             width=width,
@@ -148,7 +148,7 @@ class Browser:
             mobile=mobile,
         )
         self._events.clear()
-        self.call("Page.navigate", url=page.resolve().as_uri())
+        self.call("Page.navigate", url=page if isinstance(page, str) else page.resolve().as_uri())
         deadline = time.monotonic() + self._timeout_s
         while not any(event.get("method") == "Page.loadEventFired" for event in self._events):
             self._note(self._receive(deadline))
@@ -163,6 +163,25 @@ class Browser:
         if "exceptionDetails" in answer:
             raise RuntimeError(str(answer["exceptionDetails"]))
         return answer["result"].get("value")
+
+    def until(self, expression: str) -> None:
+        """Wait until a JavaScript expression is true."""
+        deadline = time.monotonic() + self._timeout_s
+        while not self.evaluate(expression):
+            if time.monotonic() > deadline:
+                raise TimeoutError(f"the page never came to: {expression}")
+            time.sleep(0.02)
+
+    def click(self, x: float, y: float) -> None:
+        """Move the mouse to a place of the window and click there."""
+        self.call("Input.dispatchMouseEvent", type="mouseMoved", x=x, y=y)
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call("Input.dispatchMouseEvent", type=kind, x=x, y=y, button="left", clickCount=1)
+
+    def press(self, key: str, modifiers: int = 0) -> None:
+        """A key by its name in the DOM ("a", "ArrowLeft"); modifiers: 1 Alt, 2 Ctrl, 8 Shift."""
+        for kind in ("rawKeyDown", "keyUp"):
+            self.call("Input.dispatchKeyEvent", type=kind, key=key, modifiers=modifiers)
 
     def screenshot(self) -> bytes:
         """The whole page as PNG."""

@@ -230,7 +230,7 @@ def test_refined_tie_points_are_where_truth_puts_them(
     rotations, centres = truth.rotations_cam_from_world[chosen], truth.centres_m[chosen]
     told: list[int] = []
     refined = refine(
-        [photos[i].path for i in CHOSEN], scene.lens, rotations, centres, points, obs, tick=told.append
+        [photos[i] for i in CHOSEN], scene.lens, rotations, centres, points, obs, tick=told.append
     )
     assert told == list(range(len(CHOSEN)))
     template = templates(obs, 640, 480)
@@ -281,7 +281,7 @@ def test_patches_without_a_counterpart_are_refused(site: Site, tied: tuple[Obser
     wrong[moved] += 25 * np.array([np.cos(3.0 * moved), np.sin(3.0 * moved)]).T
     moved = np.setdiff1d(moved, templates(Observations(obs.photo, obs.point, wrong, obs.sigma_px), 640, 480))
     refined = refine(
-        [photos[i].path for i in CHOSEN],
+        [photos[i] for i in CHOSEN],
         Lens(truth.camera),
         truth.rotations_cam_from_world[chosen],
         truth.centres_m[chosen],

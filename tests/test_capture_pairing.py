@@ -12,6 +12,7 @@ from capture_flights import fly, judge
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from benchmarks.pairing_flights import cut, flight
 from daemon.capture.alignment import LOG_END, Cells, align
 from daemon.capture.pairing import pair, update, without_repeats
 from daemon.capture.records import KnownClock, Shot, Trigger
@@ -184,3 +185,12 @@ def test_a_thousand_photos_in_two_cpu_seconds() -> None:
     result = pair(flight.triggers, flight.shots)
     assert time.process_time() - before < 2.0
     assert judge(flight, result)[0] > 0.95 * len(flight.truth)
+
+
+@pytest.mark.parametrize(("seed", "resolution_s"), [(608, 1.0), (740, 0.01)])
+def test_short_intervals_are_not_paired_one_off(seed: int, resolution_s: float) -> None:
+    """Photos every 1.05 s with pauses: the search by nearest photos finds only the clock one photo off."""
+    one = flight(seed)
+    sure = pair(one.triggers, cut(one.shots, resolution_s)).sure_pairs
+    assert len(sure) > 100
+    assert all(one.truth.get(p.shot.name) == p.trigger.key for p in sure)

@@ -44,7 +44,7 @@ COMMANDS = (
     ("plan",),
     ("refly",),
     ("calibrate",),
-    *(("calibrate", sub) for sub in ("wall", "orbit", "control")),
+    *(("calibrate", sub) for sub in ("wall", "orbit", "control", "mark")),
     ("cameras",),
     *(
         ("cameras", sub)
@@ -164,7 +164,7 @@ def test_no_option_is_invented(name: str, options: dict[tuple[str, ...], set[str
         ("docs/sessions.md", [("sessions", "export"), ("sessions", "geotag")]),
         ("docs/run.md", [("run",)]),
         ("docs/live.md", [("status",)]),
-        ("docs/calibrate.md", [("calibrate", "wall"), ("calibrate", "orbit"), ("calibrate", "control")]),
+        ("docs/calibrate.md", [("calibrate", sub) for sub in ("wall", "orbit", "control", "mark")]),
     ],
 )
 def test_no_option_is_left_out(

@@ -17,7 +17,7 @@ from calib.control import prepare
 from calib.control_adjust import Fit, MarkSet, adjust, resected
 from calib.control_output import ControlReport
 from calib.errors import InputError
-from calib.photos import read_photos
+from calib.photos import read_photo, read_photos
 from calib.targets import (
     Board,
     board_detector,
@@ -101,8 +101,8 @@ def photos(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def marks(photos: Path) -> MarkSet:
     board = parse_board(BOARD)
-    found = find_targets(sorted(photos.iterdir()), board_detector(board))
     read, _ = read_photos(sorted(photos.iterdir()))
+    found = find_targets(read, board_detector(board))
     return prepare(read, board_points(board), found, 0.1)[0]
 
 
@@ -181,7 +181,7 @@ def test_tags_are_found_by_number(tmp_path: Path) -> None:
         picture[y : y + 400, x : x + 400] = cv2.aruco.generateImageMarker(tags, number, 400)
     pose = look(np.array([0.2, 0.15, 0.0]), np.array([0.28, 0.1, -0.45]), 0.0)
     Image.fromarray(photo_of(picture, pose, 1)).save(tmp_path / "T.png")
-    found = find_targets([tmp_path / "T.png"], tag_detector("apriltag_36H11", {"17.1"}))
+    found = find_targets([read_photo(tmp_path / "T.png")], tag_detector("apriltag_36H11", {"17.1"}))
     assert {mark.point for mark in found} == {"3", "17", "101", "17.1"}
     for mark in found:
         x, y = at[int(mark.point.split(".")[0])]
@@ -224,4 +224,4 @@ def test_names_and_nothing_found(tmp_path: Path) -> None:
     assert "APRILTAG_36h11" in dictionaries()
     Image.new("L", (640, 480), 90).save(tmp_path / "grey.png")
     with pytest.raises(InputError, match="No target was found in 1 photos"):
-        find_targets([tmp_path / "grey.png"], board_detector(parse_board(BOARD)))
+        find_targets([read_photo(tmp_path / "grey.png")], board_detector(parse_board(BOARD)))

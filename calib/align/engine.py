@@ -17,7 +17,7 @@ from scipy.sparse.csgraph import connected_components
 
 from calib.align.adjust import Priors, State
 from calib.align.candidates import candidate_pairs
-from calib.align.features import WORKING_SIDE_PX, Features, decode_gray, extract, reduced
+from calib.align.features import WORKING_SIDE_PX, Features, extract, photo_gray, reduced
 from calib.align.georeference import GIMBAL_SIGMA_DEG, Placement, Tags, place, read_tags
 from calib.align.grow import Partial, build_block, resume_block
 from calib.align.matching import PairMatches, match_pair
@@ -121,7 +121,7 @@ class Aligner:
             if photo_key(photo) in known:
                 return known[photo_key(photo)]
             try:
-                gray, factor = decode_gray(photo.path, WORKING_SIDE_PX)
+                gray, factor = photo_gray(photo, WORKING_SIDE_PX)
             except PhotoError:
                 return None
             return extract(gray, factor), sharpness(reduced(gray, SHARPNESS_SIDE_PX))
@@ -249,7 +249,7 @@ class Aligner:
     ) -> tuple[Observations, State]:
         total = len(photos)
         refined = refine(
-            [p.path for p in photos],
+            photos,
             state.lens,
             state.rotations,
             state.centres_m,

@@ -15,6 +15,8 @@ from numpy.typing import NDArray
 
 from calib.camera import FloatArray
 from calib.errors import PhotoError
+from calib.photos.photo import Photo
+from calib.photos.radiometric import grey
 
 #: Longer side of the image that features are sought on. SIFT doubles it inside.
 WORKING_SIDE_PX = 1600
@@ -60,6 +62,20 @@ def decode_gray(path: Path, longer_side_px: int | None) -> tuple[NDArray[np.uint
     if longer_side_px is None or max(full.shape) <= longer_side_px:
         return full, 1.0
     return reduced(full, longer_side_px), longer_side_px / max(full.shape)
+
+
+def photo_gray(photo: Photo, longer_side_px: int | None) -> tuple[NDArray[np.uint8], float]:
+    """As :func:`decode_gray`; of thermal photos the raw counts, stretched alike in the whole set.
+
+    Raises:
+        PhotoError: the image data cannot be decoded.
+    """
+    counts = grey(photo)
+    if counts is None:
+        return decode_gray(photo.path, longer_side_px)
+    if longer_side_px is None or max(counts.shape) <= longer_side_px:
+        return counts, 1.0
+    return reduced(counts, longer_side_px), longer_side_px / max(counts.shape)
 
 
 def reduced(image: NDArray[np.uint8], longer_side_px: int) -> NDArray[np.uint8]:

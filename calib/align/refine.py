@@ -10,16 +10,16 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
 import cv2
 import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from calib.align.features import decode_gray
+from calib.align.features import photo_gray
 from calib.camera import FloatArray
 from calib.field import Lens
+from calib.photos.photo import Photo
 from calib.solution import IntArray, Observations
 
 HALF = 8
@@ -99,14 +99,14 @@ class _Tangents:
 class _Images:
     """Full-size grey images, kept while they fit into ``budget`` bytes."""
 
-    def __init__(self, paths: Sequence[Path], budget: int) -> None:
-        self._paths, self._budget = paths, budget
+    def __init__(self, photos: Sequence[Photo], budget: int) -> None:
+        self._photos, self._budget = photos, budget
         self._kept: dict[int, NDArray[np.uint8]] = {}
 
     def __getitem__(self, index: int) -> NDArray[np.uint8]:
         if index in self._kept:
             return self._kept[index]
-        image, _ = decode_gray(self._paths[index], None)
+        image, _ = photo_gray(self._photos[index], None)
         if sum(i.nbytes for i in self._kept.values()) + image.nbytes <= self._budget:
             self._kept[index] = image
         return image
@@ -139,7 +139,7 @@ def _between_nodes(grid: FloatArray, reach: float) -> FloatArray:
 
 
 def refine(
-    paths: Sequence[Path],
+    photos: Sequence[Photo],
     lens: Lens,
     rotations: FloatArray,
     centres_m: FloatArray,
@@ -151,7 +151,7 @@ def refine(
     """Refine all observations of a block whose geometry is known to a few pixels.
 
     The template of a track is its observation nearest to the image centre; it stays where it is.
-    ``paths`` in the order of the photo indices. ``tick(photo)`` is called as photos are done.
+    ``photos`` in the order of the photo indices. ``tick(photo)`` is called as photos are done.
     """
     n = len(obs)
     tangents = _Tangents.of(lens, rotations, centres_m, obs, points_m)
@@ -169,10 +169,10 @@ def refine(
     host = obs.photo[template]
     every = np.arange(len(points_m))
     bent = tangents.seen_px(lens, rotations[host], centres_m[host], every, on_plane) - nodes
-    images = _Images(paths, memory_bytes)
+    images = _Images(photos, memory_bytes)
     size = 2 * HALF + 1
     patches = np.zeros((len(points_m), grid.shape[0]), np.float32)
-    for photo in range(len(paths)):
+    for photo in range(len(photos)):
         mine = np.flatnonzero(obs.photo[template] == photo)
         if len(mine):
             patches[mine] = _sample(images[photo], obs.pixels[template[mine]][:, None, :] + grid)
@@ -192,7 +192,7 @@ def refine(
     pixels = obs.pixels.copy()
     ok = np.zeros(n, bool)
     ok[template] = textured
-    for photo in range(len(paths)):
+    for photo in range(len(photos)):
         mine = np.flatnonzero((obs.photo == photo) & textured[obs.point])
         mine = mine[template[obs.point[mine]] != mine]
         if len(mine):

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections import defaultdict
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 
 from calib.photos.photo import Photo
 from calib.photos.steps import Step, in_order, split
@@ -17,15 +17,20 @@ def _camera_words(photo: Photo) -> str:
     return f"{camera.name or 'unknown camera'}, {camera.width} x {camera.height}"
 
 
-def other_cameras(photos: list[Photo]) -> Step:
-    """Keep the largest group that may be adjusted together: one body, image size and focal length."""
+def camera_groups(photos: Sequence[Photo]) -> list[list[Photo]]:
+    """Photos that may be adjusted together: one body, image size and focal length each."""
     groups: dict[object, list[Photo]] = defaultdict(list)
     for photo in photos:
         camera = photo.camera
         groups[camera.make, camera.model, camera.width, camera.height, camera.processing, camera.band].append(
             photo
         )
-    parts = [part for group in groups.values() for part in _by_body(group)]
+    return [part for group in groups.values() for part in _by_body(group)]
+
+
+def other_cameras(photos: list[Photo]) -> Step:
+    """Keep the largest group that may be adjusted together."""
+    parts = camera_groups(photos)
     if len(parts) < 2:
         return photos, [], []
     best = max(parts, key=len)

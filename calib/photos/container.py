@@ -24,6 +24,7 @@ from calib.photos.exif import GARBAGE, ExifTags, read_exif
 
 _EXIF = b"Exif\x00"
 _XMP = b"http://ns.adobe.com/xap/1.0/\x00"
+_FLIR = b"FLIR\x00"
 _EOI = b"\xff\xd9"
 _TAIL = 65536
 #: Frame headers (SOF) of T.81 table B.1; C4, C8 and CC are tables, not frames.
@@ -44,7 +45,8 @@ class Container:
     """One photo file taken apart; sizes in px as the pixels are stored.
 
     ``exif`` is empty where there is none or it cannot be read, and so is ``xmp``, the packet.
-    ``fingerprint`` depends on the image data only.
+    ``fingerprint`` depends on the image data only. ``flir``: FLIR's records, joined from their segments,
+    and ``app3``: all APP3 segments, where a JPEG has them. ``bits`` a channel.
     """
 
     path: Path
@@ -54,6 +56,9 @@ class Container:
     exif: ExifTags
     xmp: bytes
     fingerprint: str
+    flir: bytes = b""
+    app3: bytes = b""
+    bits: int = 8
 
 
 def open_container(path: Path) -> Container:
@@ -128,6 +133,8 @@ def _what_instead(head: bytes) -> str:
 def _jpeg(path: Path, file: BinaryIO) -> Container:
     size = os.fstat(file.fileno()).st_size
     exif = xmp = b""
+    flir: list[tuple[int, bytes]] = []
+    app3: list[bytes] = []
     frame: tuple[int, int] | None = None
     file.seek(2)
     while True:
@@ -148,6 +155,11 @@ def _jpeg(path: Path, file: BinaryIO) -> Container:
                 exif = payload[6:]
             elif payload.startswith(_XMP):
                 xmp += payload[len(_XMP) :]
+            elif payload.startswith(_FLIR) and len(payload) > 8:
+                # Number of the chunk; some programs write zero into all of them.
+                flir.append((payload[6], payload[8:]))
+        elif marker == 0xE3:
+            app3.append(file.read(length))
         elif marker in _FRAMES:
             fields = file.read(min(length, 5))
             if len(fields) == 5:
@@ -159,7 +171,9 @@ def _jpeg(path: Path, file: BinaryIO) -> Container:
     if frame is None or 0 in frame:
         raise PhotoError(f"{path} is damaged: the JPEG does not say its size; copy it again.")
     fingerprint = _scan_fingerprint(path, file, start, size)
-    return Container(path, "JPEG", *frame, read_exif(io.BytesIO(exif)), xmp, fingerprint)
+    joined = b"".join(part for _, part in sorted(flir, key=lambda chunk: chunk[0]))
+    tags = read_exif(io.BytesIO(exif))
+    return Container(path, "JPEG", *frame, tags, xmp, fingerprint, joined, b"".join(app3))
 
 
 def _next_marker(file: BinaryIO) -> int | None:
@@ -215,10 +229,14 @@ def _by_pillow(path: Path, file: BinaryIO) -> Container:
             packet = image.info.get("xmp") or image.info.get("XML:com.adobe.xmp") or b""
             exif = io.BytesIO(image.info.get("exif", b"").removeprefix(b"Exif\x00\x00"))
             ends = _strip_ends(getattr(image, "tag_v2", {}))
+            bits = _bits(image)
     except Image.DecompressionBombError as error:
         raise PhotoError(f"{path} is larger than a photo can be; leave it out.") from error
     except GARBAGE as error:
         raise PhotoError(f"{path} is damaged: its header cannot be read; copy it again.") from error
+    if name == "PNG":
+        file.seek(24)  # Bit depth in the header, which Pillow does not tell of colour.
+        bits = max(file.read(1), default=8)
     size = file.seek(0, io.SEEK_END)
     file.seek(max(0, size - 4096))
     tail = file.read()
@@ -229,7 +247,15 @@ def _by_pillow(path: Path, file: BinaryIO) -> Container:
         raise PhotoError(f"{path} is a raw file (DNG), which is not supported; convert it to JPEG.")
     fingerprint = f"{size:x}-{hashlib.blake2b(tail, digest_size=12).hexdigest()}"
     raw_packet = packet.encode() if isinstance(packet, str) else bytes(packet)
-    return Container(path, name, width, height, tags, raw_packet, fingerprint)
+    return Container(path, name, width, height, tags, raw_packet, fingerprint, bits=bits)
+
+
+def _bits(image: Image.Image) -> int:
+    """Bits a channel: Pillow opens colour of 16 bits as if it had 8, which the TIFF's tag tells."""
+    if image.mode == "F":
+        return 32
+    depth = getattr(image, "tag_v2", {}).get(258)
+    return int(depth[0]) if depth else 8
 
 
 def _strip_ends(tags: Mapping[int, Any]) -> list[int]:

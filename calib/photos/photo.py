@@ -76,6 +76,21 @@ class GimbalAngles:
 
 
 @dataclass(frozen=True)
+class Radiometric:
+    """Raw counts in a photo of a thermal camera.
+
+    ``kind``: in words ("FLIR radiometric JPEG"). ``hidden``: they stand beside the visible picture.
+    ``levels``: counts to be shown black and white, the same in a whole set (None: not yet known).
+    ``unread``: why the visible picture is used instead ("": it is not).
+    """
+
+    kind: str
+    hidden: bool = True
+    levels: tuple[float, float] | None = None
+    unread: str = ""
+
+
+@dataclass(frozen=True)
 class Photo:
     """One photo and its metadata; the file itself is only ever read."""
 
@@ -97,6 +112,8 @@ class Photo:
     aircraft: GimbalAngles | None = None
     #: Same for two files with the same image data, whatever their names and metadata ("": not known).
     fingerprint: str = ""
+    #: Raw counts of a thermal camera (None: an ordinary picture).
+    radiometric: Radiometric | None = None
 
 
 @dataclass(frozen=True)

@@ -2,16 +2,19 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Callable, Iterable
+from dataclasses import replace
 from datetime import datetime, timedelta
 from pathlib import Path
 
 from calib.errors import PhotoError
 from calib.photos import makers
-from calib.photos.container import open_container
+from calib.photos.container import Container, open_container
 from calib.photos.exif import ExifTags, clock, degrees, gps_clock, parse_time, positive, real, text, whole
 from calib.photos.focal import digital_zoom, nominal_focal_px
-from calib.photos.photo import CameraIdentity, LeftOut, Photo, Position
+from calib.photos.photo import CameraIdentity, LeftOut, Photo, Position, Radiometric
+from calib.photos.radiometric import parse_fff, with_levels
 from calib.photos.xmp import parse_packet
 
 
@@ -32,6 +35,10 @@ def read_photo(path: Path) -> Photo:
     factory = makers.factory_calibration(xmp, width, height)
     maker_px = makers.maker_focal_px(factory, done, width)
     focal_mm = positive(tags.photo.get(0x920A))
+    radiometric, wide_deg = _radiometric(container, make)
+    focal_px = nominal_focal_px(make, model, width, height, tags, maker_px)
+    if focal_px is None and wide_deg is not None:
+        focal_px = width / 2 / math.tan(math.radians(wide_deg) / 2)
     moment, resolution_s = _time(tags, xmp)
     orientation = whole(tags.main.get(0x0112)) or 1
     return Photo(
@@ -50,11 +57,12 @@ def read_photo(path: Path) -> Photo:
         gimbal=makers.gimbal_angles(xmp, make, model),
         time=moment,
         time_resolution_s=resolution_s,
-        focal_px=nominal_focal_px(make, model, width, height, tags, maker_px),
+        focal_px=focal_px,
         factory=factory,
         orientation=orientation if 1 <= orientation <= 8 else 1,
         aircraft=makers.aircraft_angles(xmp),
         fingerprint=container.fingerprint,
+        radiometric=radiometric,
     )
 
 
@@ -63,7 +71,8 @@ def read_photos(
 ) -> tuple[list[Photo], list[LeftOut]]:
     """Read many photos; those that cannot be read are left out with the reason, never an error.
 
-    ``progress`` is called with the number of files done.
+    Thermal photos get one stretch of their counts for the set. ``progress`` is called with the number of
+    files done.
     """
     photos: list[Photo] = []
     left_out: list[LeftOut] = []
@@ -76,7 +85,29 @@ def read_photos(
             left_out.append(LeftOut(path, reason))
         if progress is not None:
             progress(done)
-    return photos, left_out
+    return with_levels(photos), left_out
+
+
+def _radiometric(container: Container, make: str) -> tuple[Radiometric | None, float | None]:
+    """Raw counts in the file, and the field of view across it in degrees, where FLIR's records state it."""
+    size = (container.width, container.height)
+    if container.flir:
+        raw = parse_fff(container.flir)
+        if raw is None:
+            return None, None
+        kind = Radiometric("FLIR radiometric JPEG")
+        if (raw.width, raw.height) != size:
+            why = f"their raw image has another size ({raw.width} x {raw.height} px)"
+            return replace(kind, unread=why), raw.field_of_view_deg
+        return kind, raw.field_of_view_deg
+    if container.app3 and make.upper() == "DJI":
+        kind = Radiometric("DJI R-JPEG")
+        if len(container.app3) != 2 * size[0] * size[1]:
+            return replace(kind, unread="their raw data are of another size"), None
+        return kind, None
+    if container.bits >= 16:
+        return Radiometric(f"{container.bits}-bit {container.format}", hidden=False), None
+    return None, None
 
 
 def _serial(tags: ExifTags, xmp: makers.Xmp) -> str | None:

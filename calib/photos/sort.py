@@ -19,6 +19,7 @@ from calib.photos.cameras import other_cameras
 from calib.photos.collect import collect
 from calib.photos.flights import other_flights
 from calib.photos.photo import LeftOut, Photo
+from calib.photos.radiometric import counts_read
 from calib.photos.steps import Step, in_order, split
 
 __all__ = ["Sorted", "collect", "require_block", "sort_photos"]
@@ -56,7 +57,7 @@ def sort_photos(photos: Sequence[Photo], left_out: Iterable[LeftOut] = ()) -> So
         used, dropped, remarks = step(used)
         out += dropped
         notes += remarks
-    return Sorted(tuple(used), tuple(out), tuple(notes + _missing_metadata(used)))
+    return Sorted(tuple(used), tuple(out), tuple(notes + _missing_metadata(used) + counts_read(used)))
 
 
 def require_block(result: Sorted) -> None:

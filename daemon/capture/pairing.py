@@ -8,7 +8,16 @@ from dataclasses import replace
 import numpy as np
 
 from daemon.capture.alignment import LOG_PAIR, P_GAP, Aligned, Cells, FloatArray, align, coincident
-from daemon.capture.clocks import Clock, Times, candidate_clocks, cells_of, fit, log_density_alone
+from daemon.capture.clocks import (
+    DRIFT_SIGMA,
+    MAX_JITTER_S,
+    Clock,
+    Times,
+    candidate_clocks,
+    cells_of,
+    fit,
+    log_density_alone,
+)
 from daemon.capture.records import Alternative, ClockFit, KnownClock, Pair, Pairing, Shot, Trigger
 
 #: Within this the same image index means the same message sent again.
@@ -16,6 +25,8 @@ _SAME_S = 1e-3
 #: An unknown clock may be off by this much either way, in s (for the weight of "no pair at all").
 _CLOCK_RANGE_S = 86_400.0
 _MAX_ROUNDS = 4
+#: Intervals shorter than so many times what a moment may be off by are searched beside the best clock.
+_COARSE_STEPS = 4.0
 _FITS, _NOT_TWICE = float(np.log(20.0)), float(np.log(100.0))
 #: An intervalometer keeps its time so well over a whole flight; no aircraft does.
 _ON_TIME_S = 0.08
@@ -62,7 +73,8 @@ def pair(
     known = known or _anchored(ordered, photos, anchors)
     times = _times(ordered, photos)
     counters = _counter_shift(ordered, photos)
-    fits = _distinct([_refine(times, clock, counters, known) for clock in candidate_clocks(times, known)])
+    fits = [_refine(times, clock, counters, known) for clock in candidate_clocks(times, known)]
+    fits = _distinct(_with_neighbours(fits, times, counters, known))
     if not fits:
         return Pairing((), tuple(ordered), tuple(photos), None)
     fits = _cautious(fits, len(photos))
@@ -239,6 +251,31 @@ def _refine(times: Times, clock: Clock, counters: FloatArray, known: KnownClock 
         off = (clock.offset_s - offset_s) / sigma
         prior = float(np.log(width / (np.sqrt(2 * np.pi) * sigma)) - off**2 / 2)
     return evidence + prior, clock, cells, aligned
+
+
+def _with_neighbours(
+    fits: list[_Fit], times: Times, counters: FloatArray, known: KnownClock | None
+) -> list[_Fit]:
+    """Also the clocks one usual interval beside the best, until the best lies between two that are worse.
+
+    Where the interval is not much longer than what the photos' times are off by, the search by nearest photos
+    can settle on a clock that is one photo off and pass the right one over.
+    """
+    step_s = float(np.median(np.diff(times.trigger_s))) if len(times.trigger_s) > 1 else 0.0
+    coarse_s = float(times.resolution_s.max()) + DRIFT_SIGMA * float(np.ptp(times.trigger_s)) + MAX_JITTER_S
+    if not 0 < step_s < _COARSE_STEPS * coarse_s:
+        return fits
+    found, done = list(fits), set[float]()
+    while found and len(done) < _MAX_ROUNDS:
+        best = max(found, key=lambda one: one[0])[1]
+        if best.offset_s in done:
+            break
+        done.add(best.offset_s)
+        for shift_s in (-step_s, step_s):
+            start = best.offset_s + shift_s
+            if all(abs(start - clock.offset_s) > step_s / 3 for _, clock, *_ in found):
+                found.append(_refine(times, Clock(start, best.drift), counters, known))
+    return found
 
 
 def _loss(cells: Cells, aligned: Aligned) -> float:
