@@ -14,7 +14,7 @@ from hypothesis import strategies as st
 
 from benchmarks.pairing_flights import cut, flight
 from daemon.capture.alignment import LOG_END, Cells, align
-from daemon.capture.pairing import pair, update, without_repeats
+from daemon.capture.pairing import pair, renew, update, without_repeats
 from daemon.capture.records import KnownClock, Shot, Trigger
 
 EQUAL_S = 300 + 2.0 * np.arange(80)
@@ -194,3 +194,15 @@ def test_short_intervals_are_not_paired_one_off(seed: int, resolution_s: float) 
     sure = pair(one.triggers, cut(one.shots, resolution_s)).sure_pairs
     assert len(sure) > 100
     assert all(one.truth.get(p.shot.name) == p.trigger.key for p in sure)
+
+
+def test_a_clock_that_was_one_line_off_is_given_up() -> None:
+    """Two equal lines; of the first only photos came, of the second first triggers: then the photos come."""
+    line = np.concatenate([[0.0, 2.9], 2.9 + 1.92 * np.arange(1, 10), [22.9]])
+    exposed = np.concatenate([20 + line, 53 + line, [90.0, 102.0, 114.0]])
+    shots = [Shot(f"{k:03d}.JPG", float(np.floor(t + 2856.7)), 1.0, k) for k, t in enumerate(exposed)]
+    triggers = [Trigger(k, t, 0.02, k + 1) for k, t in enumerate(exposed.tolist())][len(line) :]
+    early = pair(triggers[: len(line)], shots[: len(line)])
+    assert [p.shot.name for p in early.pairs] == [s.name for s in shots[: len(line)]]
+    late = renew(early, triggers, shots)
+    assert {(p.trigger.key, p.shot.order) for p in late.sure_pairs} == {(t.key, t.key) for t in triggers}

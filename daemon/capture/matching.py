@@ -71,7 +71,8 @@ class Matching:
         before, started_s = self.pairing, self._clock()
         names = {Path(shot.name).name: shot.name for shot in shots}
         anchors = [(number, names[name]) for number, name in self._anchors if name in names]
-        self.pairing = renew(before, triggers, shots, anchors=anchors)
+        # What is wanted at once is the last word: it rests on no earlier clock.
+        self.pairing = renew(_NOTHING if at_once else before, triggers, shots, anchors=anchors)
         self._last_s = self._clock()
         self._cost_s = self._last_s - started_s
         if _content(before) == _content(self.pairing):

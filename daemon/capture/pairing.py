@@ -27,6 +27,8 @@ _CLOCK_RANGE_S = 86_400.0
 _MAX_ROUNDS = 4
 #: Intervals shorter than so many times what a moment may be off by are searched beside the best clock.
 _COARSE_STEPS = 4.0
+#: So many triggers beside as many photos without each other speak against a clock.
+_BOTH_ALONE = 2
 _FITS, _NOT_TWICE = float(np.log(20.0)), float(np.log(100.0))
 #: An intervalometer keeps its time so well over a whole flight; no aircraft does.
 _ON_TIME_S = 0.08
@@ -149,8 +151,9 @@ def renew(
 ) -> Pairing:
     """Pair all triggers and photos, given an earlier pairing of some of them.
 
-    The earlier clock, where it was sure, saves the search. Should that move a pair that was sure,
-    everything is paired anew.
+    The earlier clock, where it was sure, saves the search. Should that move a pair that was sure, or leave
+    both triggers and photos alone, everything is paired anew: survey lines are alike, and a clock that is
+    one line off explains the triggers of one line by the photos of another until more of both come.
     """
     clock = previous.clock
     if known is None and not anchors and all_triggers and clock is not None and not previous.ambiguous:
@@ -160,11 +163,13 @@ def renew(
         quick = pair(all_triggers, all_shots, known=KnownClock(offset_s, sigma_s))
         now = {(p.trigger.key, p.shot.name) for p in quick.sure_pairs}
         there = {t.key for t in all_triggers}, {s.name for s in all_shots}
-        if all(
+        stays = all(
             (p.trigger.key, p.shot.name) in now
             for p in previous.sure_pairs
             if p.trigger.key in there[0] and p.shot.name in there[1]
-        ):
+        )
+        alone = min(len(quick.triggers_without_photo), len(quick.photos_without_trigger))
+        if stays and alone < _BOTH_ALONE:
             return quick
     return pair(all_triggers, all_shots, known=known, anchors=anchors)
 
