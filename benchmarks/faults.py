@@ -1,21 +1,21 @@
 """Uploads with faults, by the hundred: is the old mission intact after every one that failed?
 
-`python -m benchmarks.faults --flights 200` writes benchmarks/faults.md. Real sockets and real time.
+`python -m benchmarks.faults --flights 200` writes benchmarks/faults.md. Real sockets and real time: a flight
+waits far more than it computes. Rows go to benchmarks/faults.jsonl as they come; begun again it goes on.
 """
 
 from __future__ import annotations
 
-import argparse
 import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Iterator
-from concurrent.futures import ProcessPoolExecutor
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
+from benchmarks.resumed import asked, read_rows, run_rows
 from calib.errors import FieldcalError
 from calib.frames import LocalFrame
 from daemon.link.address import parse
@@ -29,7 +29,6 @@ from sim.faults import Proxy, Recipe, random_recipe
 from sim.vehicle import VehicleOptions, VehicleServer
 from sim.vehicle.storage import kept
 
-HERE = Path(__file__).parent
 HOME = LocalFrame(47.0, 8.5, 430.0)
 
 
@@ -37,11 +36,15 @@ HOME = LocalFrame(47.0, 8.5, 430.0)
 class Flown:
     """``holds``: old, new, other or mixed. ``outcome``: of the upload, or "not begun"."""
 
-    recipe: Recipe
-    flavour: Flavour
+    seed: int
     outcome: str
     holds: str
     seconds: float
+    cpu_s: float
+
+    @property
+    def recipe(self) -> Recipe:
+        return recipe_of(self.seed)
 
     @property
     def kind(self) -> str:
@@ -86,12 +89,26 @@ def vehicle(
             yield link, server
 
 
+def flavour_of(seed: int) -> Flavour:
+    return FLAVOURS[seed // 6 % 2]
+
+
+def missions(flavour: Flavour) -> tuple[tuple[Item, ...], tuple[Item, ...]]:
+    """The one on board, and the one to be uploaded."""
+    return items(flavour, 6, 40.0), items(flavour, 15, 60.0)
+
+
+def recipe_of(seed: int) -> Recipe:
+    old, new = missions(flavour_of(seed))
+    return random_recipe(seed, len(new), len(old))
+
+
 def fly(seed: int) -> Flown:
     """One upload; patience as in the field."""
-    flavour = FLAVOURS[seed // 6 % 2]
-    old, new = items(flavour, 6, 40.0), items(flavour, 15, 60.0)
-    recipe = random_recipe(seed, len(new), len(old))
-    started = time.monotonic()
+    flavour = flavour_of(seed)
+    old, new = missions(flavour)
+    recipe = recipe_of(seed)
+    started, spent_s = time.monotonic(), time.process_time()
     with vehicle(flavour, recipe, old) as (link, server), tempfile.TemporaryDirectory() as folder:
         try:
             result = upload(
@@ -103,7 +120,7 @@ def fly(seed: int) -> Flown:
         held = server.vehicle.transfer.mission
         known = {"old": old, "new": new, "other": items(flavour, 8, 33.0)}
         holds = next((n for n, i in known.items() if not mission_differences(i, held, flavour)), "mixed")
-    return Flown(recipe, flavour, outcome, holds, time.monotonic() - started)
+    return Flown(seed, outcome, holds, time.monotonic() - started, time.process_time() - spent_s)
 
 
 def report(flown: list[Flown]) -> str:
@@ -117,7 +134,8 @@ def report(flown: list[Flown]) -> str:
         "doubling to 20 %, delay to 0.1 s). Intact: after an upload that succeeded the vehicle holds the new "
         "mission, after any other the old one. Made by `python -m benchmarks.faults`.",
         "",
-        f"**{len(flown) - len(wrong)} of {len(flown)} intact.**",
+        f"**{len(flown) - len(wrong)} of {len(flown)} intact.** "
+        f"{sum(f.cpu_s for f in flown) / max(len(flown), 1):.1f} CPU-s a flight.",
         "",
         f"| fault | flights | {' | '.join(outcomes)} | as promised | longest s |",
         "|---|" + "---|" * (len(outcomes) + 3),
@@ -130,24 +148,20 @@ def report(flown: list[Flown]) -> str:
         lines.append(f"| {' | '.join(map(str, cells))} |")
     lines += [
         "",
-        *(f"* seed {f.recipe.seed}: {f.outcome}, holds {f.holds} ({f.recipe.words})" for f in wrong),
+        *(f"* seed {f.seed}: {f.outcome}, holds {f.holds} ({f.recipe.words})" for f in wrong),
     ]
     return "\n".join(lines).rstrip() + "\n"
 
 
-def main() -> None:
-    parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--flights", type=int, default=200)
-    parser.add_argument("--first", type=int, default=0)
-    parser.add_argument("--workers", type=int, default=8)
-    got = parser.parse_args()
-    flown = []
-    with ProcessPoolExecutor(got.workers) as pool:
-        for one in pool.map(fly, range(got.first, got.first + got.flights)):
-            flown.append(one)
-            words = (one.flavour, one.kind, one.outcome, one.holds, f"{one.seconds:.0f} s")
-            print(one.recipe.seed, *words, flush=True)
-    (HERE / "faults.md").write_text(report(flown), encoding="utf-8")
+def main(arguments: Sequence[str] | None = None) -> None:
+    got = asked(__doc__, 200, arguments, workers=8)
+    if got.case is not None:
+        print(fly(got.case))
+        return
+    raw = got.out / "faults.jsonl"
+    known = {one.seed: one for one in read_rows(raw, lambda row: Flown(**row))}
+    flown = run_rows(got.flights, raw, got.workers, fly, asdict, known)
+    (got.out / "faults.md").write_text(report(flown), encoding="utf-8")
     sys.exit(0 if all(f.right for f in flown) else 1)
 
 

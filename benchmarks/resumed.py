@@ -26,11 +26,11 @@ class Asked:
     out: Path
 
 
-def asked(doc: str | None, flights: int, arguments: Sequence[str] | None) -> Asked:
+def asked(doc: str | None, flights: int, arguments: Sequence[str] | None, workers: int = 2) -> Asked:
     """Of ``flights`` at most, unless told otherwise, with results beside this file."""
     parser = argparse.ArgumentParser(description=doc, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--flights", type=int, default=flights)
-    parser.add_argument("--workers", type=int, default=2)
+    parser.add_argument("--workers", type=int, default=workers)
     parser.add_argument("--case", type=int, help="show this flight and write nothing")
     parser.add_argument("--out", type=Path, default=Path(__file__).parent)
     return Asked(**vars(parser.parse_args(arguments)))

@@ -8,7 +8,7 @@ from __future__ import annotations
 from pathlib import Path
 
 from daemon.capture.hot_folder import Marks, marks
-from daemon.flight import STARTED
+from daemon.flight import STARTED, Source
 from daemon.session.library import list_sessions, sessions_folder
 from daemon.session.reader import SessionReader
 from daemon.session.rows import ClockName, Event, Stamp, system_clock
@@ -17,14 +17,17 @@ from daemon.session.store import Session
 FILES = "run.files"
 
 
-def unended(folder: Path) -> str | None:
-    """The newest flight of this folder that was not ended and that nobody is writing, by name."""
+def unended(folder: Path | None, source: Source = "folder") -> str | None:
+    """The newest flight of this folder, or of another source, that was not ended and that nobody is writing,
+    by name."""
     for summary in list_sessions()[0]:
         if summary.unfinished.ended or summary.held:
             continue
         with SessionReader.open(sessions_folder() / summary.name) as session:
             began = session.events(STARTED)
-        if began and began[-1].value.data.get("folder") == str(folder.absolute()):
+        if not began or began[-1].value.data.get("source", "folder") != source:
+            continue
+        if folder is None or began[-1].value.data.get("folder") == str(folder.absolute()):
             return summary.name
     return None
 

@@ -13,14 +13,17 @@ import typer
 
 from calib.align.stream import Solver
 from calib.errors import InputError
-from calib.files import check_file_writable, check_writable
+from calib.files import check_file_writable, check_writable, output_errors
 from calib.references import load_reference
 from calib.wording import printable
 from daemon.again import earlier, unended
 from daemon.capture.tagging import Kind
+from daemon.capture.tether import Tether, gphoto2_program
 from daemon.cli_upload import TO_HELP, forward_to
 from daemon.config_file import ConfigFileOption
-from daemon.flight import STARTED, Flight, Options
+from daemon.flight import STARTED, Flight, Options, Source
+from daemon.link.address import Kind as LinkKind
+from daemon.link.address import parse
 from daemon.live.answers import Answers, answers_of
 from daemon.live.commands import Commands, daemon_token, default_token_file
 from daemon.live.schemas import Message
@@ -34,6 +37,7 @@ from daemon.session.store import Session
 from mission.site_file import read_site_file
 
 if TYPE_CHECKING:
+    from daemon.capture.fetch import Fetcher
     from daemon.flight_link import FlightLink
     from daemon.link.live import Link
     from daemon.link.replay import Replay
@@ -42,6 +46,8 @@ if TYPE_CHECKING:
 MISSING = "The live status needs zenoh, which is not installed: pip install 'fieldcal[flight]'"
 #: For a flight that goes on without its vehicle.
 NO_LINK = "none"
+#: In the flight's folder: photos that we bring ourselves.
+PHOTOS = "photos"
 LINK_HELP = f"{TO_HELP.rstrip('.')}, or a recorded FLIGHT.tlog."
 ConnectOption = Annotated[
     list[str] | None,
@@ -61,7 +67,12 @@ ConfigOption = Annotated[
 
 def run_command(
     photos: Annotated[
-        Path | None, typer.Option(metavar="FOLDER", help="Folder in which the photos arrive.", readable=False)
+        Path | None,
+        typer.Option(
+            metavar="FOLDER|mavlink|gphoto2",
+            help="Folder in which the photos arrive; or fetched from the vehicle's camera, or over USB.",
+            readable=False,
+        ),
     ] = None,
     resume_last: Annotated[
         bool, typer.Option("--resume", help="Go on with the newest flight that is unfinished.")
@@ -121,18 +132,20 @@ def run_command(
         Path | None, typer.Option(metavar="FILE", help="Where the token is.", readable=False)
     ] = None,
     again: Annotated[
-        bool, typer.Option("--again", help="The flight begun in this folder, or the next: no photo twice.")
+        bool, typer.Option("--again", help="The flight begun with these photos, or the next: no photo twice.")
     ] = False,
     _config: ConfigFileOption = None,
 ) -> int:
     """Take photos as they arrive; the verdict at the end. Exit code 0 TRUST, 3 REFLY, 4 CANNOT TELL."""
+    source = _source_of(photos)
+    photos = photos if source in (None, "folder") else None
     if again:
-        if photos is None or resume_last or session_name is not None:
-            raise InputError("--again goes with --photos FOLDER, and without --resume and --session.")
-        session_name = unended(photos)
+        if source is None or resume_last or session_name is not None:
+            raise InputError("--again goes with --photos, and without --resume and --session.")
+        session_name = unended(photos, source)
     anchors = tuple(map(_anchor, same or ()))
     going_on = resume_last or session_name is not None
-    if photos is None and not going_on:
+    if source is None and not going_on:
         raise InputError("No source of photos was given; name the folder they arrive in: --photos FOLDER.")
     if photos is not None and not going_on and not photos.is_dir():
         raise InputError(f"There is no folder {photos}; make it, or check whether the card is mounted.")
@@ -148,17 +161,16 @@ def run_command(
     screen = Screen(talkative=not quiet and json_to != "-", hidden=hidden)
     if offer_refly and not yes and (sys.stdin is None or not sys.stdin.isatty() or not screen.talkative):
         raise InputError("Nobody is there to ask before the extra pass is uploaded: add --yes, or no offer.")
-    passed_on = photos if again else None
-    wishes = Wishes(out, json_to, quiet, geotag, site, offer_refly, yes, passed_on)
+    wishes = Wishes(out, json_to, quiet, geotag, site, offer_refly, yes)
     with ExitStack() as stack:
         session = stack.enter_context(resume(session_name)) if going_on else None
-        options = _options(session, photos, reference, vehicle, idle, count, link, anchors)
+        options = _options(session, photos, source, reference, vehicle, idle, count, link, anchors)
         if options.link is None and (forward is not None or offer_refly):
             raise InputError("--forward and --offer-refly need the vehicle: add --link ADDRESS.")
         told_before = session is not None and session.counts().triggers > 0
         if options.link is None and not told_before and (geotag is not None or anchors):
             raise InputError("--geotag and --same need what the vehicle tells: add --link ADDRESS.")
-        if again:
+        if again and options.source == "folder":
             options = replace(options, passed_over=earlier(options.folder))
         notifier = stack.enter_context(Notifier())
         bus: Bus | None = None
@@ -184,20 +196,29 @@ def run_command(
             bus = _bus(options.vehicle, settings, answers_of(lambda: session), commands)
             if bus is not None:
                 stack.enter_context(bus)
-        source = _source(options.link, forward, recorded=link is None)
-        if source is not None:
-            stack.callback(source.close)
+        line = _line(options.link, forward, recorded=link is None)
+        if line is not None:
+            stack.callback(line.close)
+        if options.source == "gphoto2":
+            gphoto2_program()
         # Only now, so that what is refused leaves no empty flight behind.
         session = session or stack.enter_context(begin(label))
-        told = None if source is None else stack.enter_context(_follow(source, session))
+        told = None if line is None else stack.enter_context(_follow(line, session))
+        if options.source != "folder":
+            options = replace(options, folder=session.folder / PHOTOS)
+        if again:
+            wishes = replace(wishes, again=options.folder)
+        bringer = _bringer(options, told)
+        if bringer is not None:
+            stack.enter_context(bringer)
         solver = Solver()
         stack.callback(solver.close)
         if screen.talkative:
-            print(f"Flight {session.folder.name}: photos from {printable(str(options.folder))}.")
+            print(f"Flight {session.folder.name}: photos from {_from_words(options)}.")
             print("Ctrl-C: no more photos, give the verdict. Twice: leave; `fieldcal run --resume` goes on.")
-            if source is not None and options.link is not None:
+            if line is not None and options.link is not None:
                 print(f"The vehicle is listened to on {printable(options.link)}.")
-        flight = Flight(session, options, solver, tell, link=told)
+        flight = Flight(session, options, solver, tell, link=told, bringer=bringer)
         return Rounds(flight, session, told, screen, wishes, options.vehicle, tell).run().exit_code
 
 
@@ -221,6 +242,7 @@ def _bus(vehicle: str, settings: Settings, answers: Answers, commands: Commands 
 def _options(
     session: Session | None,
     photos: Path | None,
+    source: Source | None,
     reference: str | None,
     vehicle: str | None,
     idle: float,
@@ -235,17 +257,24 @@ def _options(
             name = session.folder.name
             raise InputError(f"Flight {name} is finished; `fieldcal sessions show {name}` tells its verdict.")
         then = next((dict(e.value.data) for e in reversed(session.events(STARTED))), {})
+    source = source or then.get("source", "folder")
     folder = photos or (Path(then["folder"]) if then.get("folder") else None)
+    if source != "folder":
+        folder = Path(PHOTOS)  # In the flight's own folder.
     if folder is None:
         raise InputError("This flight has no folder of photos; name it: --photos FOLDER.")
     name = vehicle or then.get("vehicle") or socket.gethostname()
+    address = None if link == NO_LINK else link or then.get("link")
+    if source == "mavlink" and link != NO_LINK and (address is None or parse(address).kind is LinkKind.LOG):
+        raise InputError("--photos mavlink fetches from the vehicle's camera: add --link ADDRESS.")
     return Options(
         vehicle=vehicle_name(name),
         folder=folder,
+        source=source,
         reference=reference or then.get("reference"),
         idle_s=idle,
         count=count,
-        link=None if link == NO_LINK else link or then.get("link"),
+        link=address,
         anchors=anchors,
     )
 
@@ -257,7 +286,32 @@ def _anchor(text: str) -> tuple[int, str]:
     return int(number), Path(name).name
 
 
-def _source(address: str | None, forward: str | None, recorded: bool) -> Link | Replay | None:
+def _source_of(photos: Path | None) -> Source | None:
+    """A folder that is called like a source is named by its full path."""
+    if photos is None:
+        return None
+    named: dict[str, Source] = {"mavlink": "mavlink", "gphoto2": "gphoto2"}
+    return named.get(str(photos), "folder")
+
+
+def _from_words(options: Options) -> str:
+    words = {"mavlink": "the vehicle's camera", "gphoto2": "the camera on this computer (gphoto2)"}
+    folder = printable(str(options.folder))
+    return folder if options.source == "folder" else f"{words[options.source]}, into {folder}"
+
+
+def _bringer(options: Options, told: FlightLink | None) -> Fetcher | Tether | None:
+    """Who fills the folder; None: somebody else, or nobody any more (a flight without its vehicle)."""
+    if options.source == "folder":
+        return None
+    with output_errors(options.folder):
+        options.folder.mkdir(exist_ok=True)
+    if options.source == "gphoto2":
+        return Tether(options.folder, gphoto2_program())
+    return None if told is None else told.fetcher(options.folder)
+
+
+def _line(address: str | None, forward: str | None, recorded: bool) -> Link | Replay | None:
     """Loaded only for those who want it: it needs a library that others may not have.
 
     ``recorded``: the address is that of an earlier run, whose vehicle may be far away by now.

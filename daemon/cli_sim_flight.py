@@ -143,6 +143,10 @@ def camera(
     tags: Annotated[
         Literal["mavlink", "dji"], typer.Option(help="Plain EXIF, or DJI's tags with gimbal angles.")
     ] = "mavlink",
+    offer: Annotated[
+        Literal["mftp", "http"] | None,
+        typer.Option(help="Tell of each photo over MAVLink, and give it over MAVLink or HTTP."),
+    ] = None,
     once: Annotated[
         bool, typer.Option("--once", help="End when the vehicle has landed and all photos are there.")
     ] = False,
@@ -154,12 +158,16 @@ def camera(
     if world not in KINDS or world == "dem":
         kinds = ", ".join(kind for kind in KINDS if kind != "dem")
         raise InputError(f"There is no world of the kind {world!r}: choose one of {kinds}.")
+    if once and offer is not None:
+        raise InputError("--once and --offer do not go together: photos on offer are given until Ctrl-C.")
     if abs(clock_offset) > 10 * 365 * 86_400:
         raise InputError(f"--clock-offset {clock_offset:g} s is more than ten years.")
     try:
         from daemon.link.address import parse
         from daemon.link.live import Link
+        from daemon.link.transport import open_transport
         from sim.tether.camera import Camera
+        from sim.tether.offering import Offering
         from sim.tether.studio import CameraClock, StudioOptions
     except ModuleNotFoundError as error:
         raise InputError(f"The simulated camera {_NOT_INSTALLED}") from error
@@ -174,12 +182,17 @@ def camera(
     with output_errors(out):
         if out.is_dir() and any(out.iterdir()):
             raise OutputError(f"The folder {out} is not empty; the camera needs a folder of its own.")
-    with output_folder(out), Link(parse(link)) as line:
+    with contextlib.ExitStack() as stack:
+        stack.enter_context(output_folder(out))
+        offering = None if offer is None else stack.enter_context(Offering(out, offer))
+        open_line = open_transport if offering is None else offering.open_line
+        line = stack.enter_context(Link(parse(link), open_line=open_line))
         say = f"Waiting for a vehicle on {line.address}; photos of {pixels[0]} x {pixels[1]} px go to"
         say = f"{say} {path_text(out)}. Ctrl-C ends it."
         hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
         with progress_line(hidden, "waiting for a vehicle") as report, output_errors(out):
-            taking = Camera(line, options, out, miss_share=miss_photos, tell=_teller(report, line))
+            told = _teller(report, line)
+            taking = Camera(line, options, out, miss_share=miss_photos, tell=told, offering=offering)
             with taking:
                 _work(taking, once, quiet, say)
     if taking.truth is not None:

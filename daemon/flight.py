@@ -20,6 +20,7 @@ from calib.photos import LeftOut, Photo, Sorted, require_block, sort_photos
 from calib.report_json import report_dict
 from calib.result import CheckResult, Timing
 from daemon.advice import what_to_fly
+from daemon.capture.bringer import Bringer
 from daemon.capture.hot_folder import Arrival, HotFolder, Marks, Poll
 from daemon.capture.matching import Arrived, Matching, completed
 from daemon.capture.trigger_book import TriggerBook
@@ -42,15 +43,20 @@ STARTED = "run.started"
 _TRANSIENT_S = 0.1
 
 
+#: Somebody else; from the vehicle's camera as it offers them; gphoto2.
+Source = Literal["folder", "mavlink", "gphoto2"]
+
+
 @dataclass(frozen=True)
 class Options:
     """``idle_s``: the flight is over when nothing has come for so long (0: only when told);
     ``count``: or when so many photos are there. ``link``: the vehicle's address. ``anchors``: numbers of
     the vehicle's photos and the names of their files, where the operator knows. ``passed_over``: files in
-    the folder that belong to earlier flights."""
+    the folder that belong to earlier flights. ``source``: who brings the photos into the folder."""
 
     vehicle: str
     folder: Path
+    source: Source = "folder"
     reference: str | None = None
     idle_s: float = 120.0
     count: int | None = None
@@ -69,6 +75,7 @@ class Flight:
         tell: takes messages for whoever watches; never waits.
         clock: seconds on a clock that never steps.
         link: the vehicle's, where there is one; closed by the caller.
+        bringer: who brings the photos, where it is not somebody else; closed by the caller.
     """
 
     def __init__(
@@ -79,9 +86,10 @@ class Flight:
         tell: Callable[[Message], None],
         clock: Callable[[], float] = time.monotonic,
         link: FlightLink | None = None,
+        bringer: Bringer | None = None,
     ) -> None:
         self._session, self._options, self._solver, self._tell = session, options, solver, tell
-        self._clock, self._link = clock, link
+        self._clock, self._link, self._bringer = clock, link, bringer
         # Without a link what was told in an earlier run still places the photos of a card read at home.
         book = link.book if link is not None else TriggerBook(session) if session.counts().triggers else None
         self._book = book
@@ -123,7 +131,7 @@ class Flight:
             return False
         if link is not None and link.flying:
             return False
-        moved_s = self._moved_s
+        moved_s = self._moved_s if self._bringer is None else max(self._moved_s, self._bringer.moved_s)
         if link is not None:
             moved_s = max(moved_s, link.moved_s)
             if link.landed and self._poll.whole >= link.book.count:
@@ -165,6 +173,8 @@ class Flight:
             self._tell_state()
             time.sleep(LOOK_EVERY_S)
         self._listen(at_once=True)
+        if self._bringer is not None and self._bringer.missing:
+            self._say(f"{self._bringer.missing} photos that the camera offers were not fetched.", "warning")
         found = read_set(self._files(), self._progress, self._completed)
         require_block(found)
         self._missing(found.used, found.left_out)
@@ -215,6 +225,7 @@ class Flight:
         if now - self._looked_s < LOOK_EVERY_S:
             return
         self._looked_s = now
+        self._bring()
         before, self._poll = self._poll, self._hot.poll()
         if self._poll.fault != before.fault:
             self._say(
@@ -224,6 +235,13 @@ class Flight:
             self._moved_s = now
         for arrival in self._poll.arrived:
             self._arrive(arrival)
+
+    def _bring(self) -> None:
+        if self._bringer is None:
+            return
+        self._bringer.poll()
+        for level, text in self._bringer.news():
+            self._say(text, level)
 
     def _files(self) -> list[Path]:
         return self._hot.files() if self._options.passed_over else [self._options.folder]
@@ -247,6 +265,8 @@ class Flight:
             for level, text in self._link.news():
                 self._say(text, level)
         if self._matching is not None and self._book is not None:
+            if self._bringer is not None:
+                self._matching.belongs(self._bringer.anchors())
             self._matching.look(self._photos, at_once)
             if at_once:
                 self._say(paired_words(self._matching.pairing, len(self._photos), self._book))
@@ -261,7 +281,8 @@ class Flight:
     def _missing(self, used: Sequence[Photo], left_out: Sequence[LeftOut]) -> None:
         """Say which recorded photos are not in the folder any more."""
         there = {photo.path.absolute() for photo in used} | {item.path.absolute() for item in left_out}
-        gone = [row.value.path.name for row in self._session.photos() if row.value.path not in there]
+        here = self._session.folder.absolute()
+        gone = [row.value.path.name for row in self._session.photos() if here / row.value.path not in there]
         if gone:
             self._say(
                 f"{len(gone)} of the photos recorded earlier are not in {self._options.folder} any more, "
@@ -349,6 +370,7 @@ class Flight:
                 Stamp(datetime.now(UTC).timestamp(), ClockName.UTC),
                 {
                     "folder": str(self._options.folder.absolute()),
+                    "source": self._options.source,
                     "vehicle": self._options.vehicle,
                     "reference": self._options.reference,
                     "link": self._options.link,
@@ -380,6 +402,7 @@ class Flight:
         vehicle, link = self._options.vehicle, self._link
         degraded = [*self._degraded, *([self._poll.fault] if self._poll.fault else [])]
         degraded += [] if link is None else link.degraded
+        degraded += [] if self._bringer is None else self._bringer.degraded
         state = (self._phase, degraded)
         if state != self._told:
             self._told = state

@@ -9,8 +9,10 @@ from __future__ import annotations
 import time
 from collections.abc import Callable
 from dataclasses import replace
+from pathlib import Path
 from typing import Literal
 
+from daemon.capture.fetch import Fetcher
 from daemon.capture.recent import Recent
 from daemon.capture.trigger_book import TriggerBook
 from daemon.closing import Closing
@@ -132,6 +134,12 @@ class FlightLink(Closing):
         """Where it was switched on or armed, degrees: mission heights count from there."""
         home = self.source.state.last(ev.HomePosition)
         return None if home is None else (home.latitude_deg, home.longitude_deg)
+
+    def fetcher(self, folder: Path) -> Fetcher | None:
+        """Fetches what the vehicle's camera offers into ``folder``; None for a recorded flight."""
+        if not isinstance(self.source, Link):
+            return None
+        return Fetcher(self.book, folder, self.source, self._clock)
 
     def flies_again(self) -> None:
         """A further flight is expected: the landing before it is no end."""

@@ -121,6 +121,7 @@ def photo_flight(
     faults: Faults | None = None,
     card: Callable[[VehicleServer], Card] | None = None,
     seed: int = 0,
+    beside: tuple[str, int] | None = None,
     **options: object,
 ) -> Iterator[PhotoFlight]:
     """On the ground with the plan on board; the card is filled while it flies."""
@@ -132,6 +133,7 @@ def photo_flight(
             VehicleOptions(flavour, plan.launch, **options),  # type: ignore[arg-type]
             proxy.vehicle_address,
             faults=faults,
+            camera=beside,
             seed=seed,
         ) as server,
     ):

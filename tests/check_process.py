@@ -9,13 +9,13 @@ import os
 import signal
 import subprocess
 import sys
-import time
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
+from benchmarks.processes import session
 from calib.photos.photo import Processing
 from calib.reference import Reference
 from calib.reference_file import write_reference_file
@@ -115,43 +115,6 @@ def running(home: Path, *arguments: str | Path) -> AbstractContextManager[subpro
 def ended(process: subprocess.Popen[bytes], timeout_s: float = 120) -> Ran:
     out, err = process.communicate(timeout=timeout_s)
     return Ran(process.returncode, out.decode(), err.decode())
-
-
-def session(leader: int) -> list[int]:
-    """Processes of the session that ``leader`` began, without zombies."""
-    found = []
-    for entry in Path("/proc").iterdir():
-        if entry.name.isdigit():
-            try:
-                fields = (entry / "stat").read_text().rpartition(")")[2].split()
-            except OSError:
-                continue  # It ended meanwhile.
-            if int(fields[3]) == leader and fields[0] != "Z":
-                found.append(int(entry.name))
-    return found
-
-
-def worker(leader: int) -> int | None:
-    """The process that aligns, once it is there."""
-    for pid in session(leader):
-        try:
-            words = Path(f"/proc/{pid}/cmdline").read_bytes()
-        except OSError:
-            continue
-        if b"spawn_main" in words:
-            return pid
-    return None
-
-
-def wait_for(what: Callable[[], Any], timeout_s: float = 60) -> Any:
-    """The first true answer of ``what``."""
-    deadline = time.monotonic() + timeout_s
-    while time.monotonic() < deadline:
-        found = what()
-        if found:
-            return found
-        time.sleep(0.02)
-    raise TimeoutError
 
 
 def without_superpowers() -> None:

@@ -40,7 +40,7 @@ UTC_S = 1_780_000_000.0
 HOME = LocalFrame(47.0, 8.5, 430.0)
 #: UTC is known from the first second on.
 BASE = TimeBase().with_system_time(1.0, UTC_S + 1.0)
-FEEDBACK, TRIGGER, CAPTURED = ev.PhotoSource
+FEEDBACK, TRIGGER, CAPTURED, _ = ev.PhotoSource
 
 
 def circle(boot_s: float) -> tuple[FloatArray, float]:

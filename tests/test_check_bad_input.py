@@ -25,15 +25,13 @@ from check_process import (
     left_out,
     report_of,
     running,
-    session,
     untouched,
-    wait_for,
     without_superpowers,
-    worker,
 )
 from PIL import Image
 from PIL.TiffImagePlugin import IFDRational
 
+from benchmarks.processes import session, wait_for, worker
 from calib.photos.photo import Position
 
 pytest_plugins = ("check_fixtures",)

@@ -189,6 +189,22 @@ def test_what_was_recorded_is_there_the_second_time(scene: Callable[..., Scene],
         assert any("P_0001.JPG" in text and "not in" in text for text in there.said())
 
 
+@pytest.mark.parametrize("inside", [False, True])
+def test_only_photos_that_are_gone_are_missed(tmp_path: Path, inside: bool) -> None:
+    """Also where we bring the photos ourselves, into the flight's own folder."""
+    with Session.create(tmp_path / "record") as session:
+        here = Scene((session.folder if inside else tmp_path) / "photos", session)
+        here.photos(*range(1, FIRST + 2))
+        here.run(8)
+        with pytest.raises(AlignmentError):
+            here.flight.conclude()
+        assert not any("recorded earlier" in text for text in here.said())
+        (here.folder / "P_0003.JPG").unlink()
+        with pytest.raises(AlignmentError):
+            here.flight.conclude()
+        assert any("1 of the photos recorded earlier" in text and "P_0003" in text for text in here.said())
+
+
 def test_an_extra_pass_is_waited_for_until_its_photos_come(scene: Callable[..., Scene]) -> None:
     here = scene(idle_s=30.0, count=2)
     here.photos(1, 2)

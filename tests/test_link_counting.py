@@ -14,7 +14,7 @@ from daemon.link.modes import heartbeat
 from daemon.link.progress import ProgressFilter
 from daemon.link.triggers import TriggerFilter
 
-FEEDBACK, TRIGGER, CAPTURED = ev.PhotoSource
+FEEDBACK, TRIGGER, CAPTURED, CAMERA = ev.PhotoSource
 UTC_S = 1_780_000_000.0
 
 
@@ -72,7 +72,7 @@ def test_two_sources_of_one_photo_are_one(flavour: str, seed: int) -> None:
         if flavour == "ardupilot":
             pair = [
                 feedback(number + 1, at),
-                ev.PhotoReport(CAPTURED, 100, 0, number + 40, None, UTC_S + at + 0.3, confirmed=True),
+                ev.PhotoReport(CAMERA, 100, 0, number + 40, None, UTC_S + at + 0.3, confirmed=True),
             ]
         else:
             pair = [
@@ -87,7 +87,7 @@ def test_two_sources_of_one_photo_are_one(flavour: str, seed: int) -> None:
     for heard_s, report in sorted(arrivals, key=lambda pair: pair[0]):
         photos.add(report, heard_s)
     first = FEEDBACK if flavour == "ardupilot" else TRIGGER
-    shift = {FEEDBACK: 1, TRIGGER: 0, CAPTURED: 40 if flavour == "ardupilot" else 0}
+    shift = {FEEDBACK: 1, TRIGGER: 0, CAPTURED: 0, CAMERA: 40}
     told = sorted({n - shift[s] for _, r in arrivals for s, n in ((r.source, r.index),)})
     found = sorted(p.indices[0][1] - shift[p.indices[0][0]] for p in photos.photos)
     assert found == told
@@ -107,7 +107,7 @@ def test_two_cameras_are_two_photos() -> None:
 def test_a_camera_that_reports_failure_is_no_second_photo() -> None:
     photos = TriggerFilter()
     photos.add(feedback(1, 10.0), 10.0)
-    merged = photos.add(ev.PhotoReport(CAPTURED, 100, 0, 0, None, UTC_S + 10.4, confirmed=False), 10.5)
+    merged = photos.add(ev.PhotoReport(CAMERA, 100, 0, 0, None, UTC_S + 10.4, confirmed=False), 10.5)
     assert merged is not None
     assert (merged.number, merged.revision, merged.confirmed) == (1, 1, False)
 

@@ -142,6 +142,13 @@ def test_only_harmless_messages_may_be_said() -> None:
         message = kind(*[0] * len(kind.fieldnames)) if name != "PARAM_SET" else kind(1, 1, b"X", 0.0, 9)
         with pytest.raises(allowed.ForbiddenError):
             allowed.check(message)
+    for operation in range(256):
+        message = wire.file_transfer(1, 100, bytes([0, 0, 0, operation]))
+        if operation in (1, 2, 4, 5):  # close, close all, open for reading, read
+            assert allowed.check(message) is message
+        else:
+            with pytest.raises(allowed.ForbiddenError):
+                allowed.check(message)
     for current, fine in ((0, True), (1, True), (2, False), (3, False)):
         item = mavlink.MAVLink_mission_item_int_message(1, 1, 0, 3, 16, current, 1, 0, 0, 0, 0, 0, 0, 0, 0)
         if fine:

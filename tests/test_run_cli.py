@@ -16,8 +16,9 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from check_process import ended, environment, session, started, wait_for, worker
+from check_process import ended, environment, started
 
+from benchmarks.processes import session, wait_for, worker
 from calib.photos.photo import Photo
 from daemon.session.reader import SessionReader
 from sim.survey import SurveyTruth

@@ -12,6 +12,7 @@ import pytest
 
 pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
 
+from benchmarks.processes import wait_for
 from calib.align.stream import Solve
 from calib.errors import AlignmentError
 from calib.photos.photo import Photo
@@ -23,11 +24,13 @@ from daemon.session.reader import SessionReader
 from daemon.session.store import Session
 from mission import encode
 from mission.encode import Flavour
+from sim.faults import LineFaults
+from sim.faults.ends import free_port
 from sim.photo_flight import Card, PhotoFlight, photo_flight
-from tests.check_process import wait_for
 from tests.mission_plans import line, orbit, plan_of
 from tests.test_flight import Scripted
 from tests.test_run_cli import the_session, working
+from tests.test_sim_camera import wait_until_ready
 
 #: The flight's clock runs faster than the wall's, as the vehicle's does.
 FAST = 10.0
@@ -234,6 +237,12 @@ def test_a_recorded_flight_gives_what_the_flight_gave(flavour: Flavour, tmp_path
         assert any(f"read to its end: {told} triggers" in text for text in again.said())
 
 
+def sure_pairs(home: Path) -> int:
+    with SessionReader.open(the_session(home)) as session:
+        found = session.pairing()
+        return 0 if found is None else sum(pair.sure for pair in found.value.pairs)
+
+
 def test_kill_9_loses_no_trigger_that_was_recorded_and_doubles_none(tmp_path: Path) -> None:
     folder = tmp_path / "card"
 
@@ -246,11 +255,6 @@ def test_kill_9_loses_no_trigger_that_was_recorded_and_doubles_none(tmp_path: Pa
                 return session.counts().triggers
         except (ValueError, OSError):
             return 0
-
-    def sure() -> int:
-        with record() as session:
-            found = session.pairing()
-            return 0 if found is None else sum(pair.sure for pair in found.value.pairs)
 
     with photo_flight("ardupilot", folder, PLAN) as flown:
         run = ("run", "--photos", folder, "--link", flown.proxy.url, "--no-live", "--quiet", "--idle", "0")
@@ -269,7 +273,7 @@ def test_kill_9_loses_no_trigger_that_was_recorded_and_doubles_none(tmp_path: Pa
             wait_for(lambda: log.stat().st_size > size + 3000, 180)
             flown.server.speed_up = SPEED_UP
             wait_for(lambda: flown.server.vehicle.done, 180)
-            wait_for(lambda: sure() == triggers(), 180)
+            wait_for(lambda: sure_pairs(tmp_path) == triggers(), 180)
         truth = {photo.index for photo in flown.server.vehicle.photos}
         with record() as session:
             told = [row.value.image_index for row in session.triggers()]
@@ -279,3 +283,59 @@ def test_kill_9_loses_no_trigger_that_was_recorded_and_doubles_none(tmp_path: Pa
             assert len(truth - set(told)) <= 3  # taken between kill and resumption
             assert right_pairs(session, flown.card) == len(told)
             assert set(places_of(session)) == set(range(1, len(told) + 1))
+
+
+def test_photos_are_fetched_from_the_camera_through_kill_9(tmp_path: Path) -> None:
+    """Vehicle, camera and `fieldcal run --photos mavlink`, each of its own, over sockets with a bad line."""
+    beside = free_port()
+    offers = ("--offer", "mftp", "--size", "200x150", "--site-m", "100", "--clock-offset", "3600", "--no-gps")
+    words = ("sim", "camera", "--link", f"udp://127.0.0.1:{beside}", "--out", tmp_path / "camera", *offers)
+    run = ("run", "--photos", "mavlink", "--no-live", "--quiet", "--idle", "0")
+
+    def names(folder: Path) -> list[str]:
+        return sorted(path.name for path in folder.glob("*.JPG"))
+
+    def fetched(least: int) -> bool:
+        return len([*tmp_path.glob("sessions/[!.]*/photos/*.JPG")]) >= least
+
+    def logged() -> int:
+        return sum(path.stat().st_size for path in tmp_path.glob("sessions/[!.]*/link.tlog"))
+
+    bad = LineFaults(drop_share=0.01, repeat_share=0.05)
+    with (
+        working(tmp_path, *words) as camera,
+        photo_flight("px4", tmp_path / "card", PLAN, line_faults=bad, beside=("127.0.0.1", beside)) as flown,
+    ):
+        server = flown.server
+        wait_until_ready(camera)
+        with working(tmp_path, *run, "--link", flown.proxy.url) as process:
+            wait_for(lambda: logged() > 3000, 180)
+            flown.take_off(SPEED_UP)
+            wait_for(lambda: fetched(4), 180)
+            os.kill(process.pid, signal.SIGKILL)
+            process.wait(20)
+            server.speed_up = 0.02
+        with working(tmp_path, "run", "--resume", "--no-live", "--quiet", "--idle", "0"):
+            size = logged()
+            wait_for(lambda: logged() > size + 3000, 180)
+            server.speed_up = SPEED_UP
+            wait_for(lambda: server.vehicle.done, 180)
+            there, here = tmp_path / "camera", the_session(tmp_path) / "photos"
+            # What was taken while nobody listened, or was lost on the line, nobody told of.
+            wait_for(lambda: len(names(here)) >= len(names(there)) - 4 and fetched(9), 180)
+            wait_for(lambda: sure_pairs(tmp_path) >= len(names(here)) - 1, 180)
+    assert not [*here.glob("tmp*")]
+    for name in names(here):
+        number, _, own = name.partition("-")
+        assert (here / name).read_bytes() == (there / own).read_bytes()
+        assert int(number) > 0
+    # The log holds what was said, not the photos.
+    assert logged() < 3e6
+    with SessionReader.open(the_session(tmp_path)) as session:
+        recorded = session.pairing()
+        assert recorded is not None
+        keys = {row.seq: row.value.key for row in session.triggers()}
+        files = {row.seq: row.value.path.name for row in session.photos()}
+        for pair in recorded.value.pairs:
+            assert keys[pair.trigger] == f"photo {int(files[pair.photo].partition('-')[0])}"
+        assert sum(pair.sure for pair in recorded.value.pairs) >= 8

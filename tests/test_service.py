@@ -18,6 +18,7 @@ from pathlib import Path
 import pytest
 import typer
 
+from benchmarks.processes import wait_for
 from calib.errors import FormatError
 from calib.photos.photo import Photo
 from daemon.cli_run import run_command
@@ -25,7 +26,7 @@ from daemon.config_file import read_options
 from daemon.live.schemas import Capture, Status
 from daemon.notify import Notifier
 from sim.survey import SurveyTruth
-from tests.check_process import ended, started, wait_for
+from tests.check_process import ended, started
 
 ROOT = Path(__file__).parents[1]
 UNIT, EXAMPLE = ROOT / "systemd" / "fieldcal.service", ROOT / "systemd" / "fieldcal.toml"

@@ -20,15 +20,15 @@ from daemon.link.triggers import Trigger, TriggerFilter
 from mission import encode
 from mission.encode import Flavour
 from mission.plan import stations
+from sim.faults.ends import free_port
 from sim.vehicle import Faults, VehicleOptions, VehicleServer
 from tests.mission_plans import LAUNCH, angle_deg, line, orbit, plan_of
-from tests.mission_server import free_port
 from tests.vehicle_client import Client, client, from_mavsdk_items
 
 PLAN = plan_of(*line(60.0, 10.0, 30.0), *orbit(6, radius=25.0, height=30.0), speed_m_s=5.0)
 STREAMS = {30: 5.0, 33: 5.0, 2: 1.0, 42: 2.0, 147: 1.0, 1: 1.0, 285: 2.0, 24: 1.0, 242: 0.5}
 SPEED_UP = 20.0
-FEEDBACK, TRIGGER, CAPTURED = ev.PhotoSource
+FEEDBACK, TRIGGER, CAPTURED, CAMERA = ev.PhotoSource
 
 
 async def _fly(server: VehicleServer, url: str, flavour: Flavour) -> Client:
@@ -103,7 +103,7 @@ def _numbers_heard(heard: list[tuple[float, Message]], flavour: Flavour) -> set[
 
 def _index(photo: Trigger) -> int:
     """The vehicle's own number, whoever told it."""
-    for source, first in ((FEEDBACK, 0), (TRIGGER, 0), (CAPTURED, 0)):
+    for source, first in ((FEEDBACK, 0), (TRIGGER, 0), (CAPTURED, 0), (CAMERA, 1)):
         index = photo.index(source)
         if index is not None:
             return index + first

@@ -49,7 +49,7 @@ class Matching:
         anchors: Sequence[tuple[int, str]] = (),
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
-        self._session, self._book, self._anchors, self._clock = session, book, anchors, clock
+        self._session, self._book, self._anchors, self._clock = session, book, list(anchors), clock
         self._seq_of, self.pairing = _restored(session, book)
         self._sizes = self._seen = (0, 0)
         self._changed_s, self._last_s, self._cost_s = -1e9, -1e9, 0.0
@@ -79,6 +79,10 @@ class Matching:
             return False
         self._record()
         return True
+
+    def belongs(self, names: Mapping[str, int]) -> None:
+        """File name -> number of the vehicle's photo, where the camera itself says which is which."""
+        self._anchors += [(number, name) for name, number in names.items()]
 
     def tags(self) -> dict[str, Geotag]:
         """Absolute path of a photo -> position and angles of its trigger, for sure pairs."""

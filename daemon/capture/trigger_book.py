@@ -7,7 +7,7 @@ they bring it back to where it was, so that a photo told again after a crash is 
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from typing import Any
 
 from pydantic import TypeAdapter
@@ -31,8 +31,17 @@ _PATIENCE_S = 10.0
 _REPORT, _TAG = TypeAdapter(PhotoReport), TypeAdapter(Geotag)
 
 
+@dataclass(frozen=True)
+class Offer:
+    """Where a photo's file can be fetched, told by a component of the vehicle. ``number``: of the photo."""
+
+    number: int
+    url: str
+    component_id: int
+
+
 class TriggerBook:
-    """All of one flight. ``seqs``: number of the photo -> its seq in the record."""
+    """All of one flight. ``seqs``: number of the photo -> its seq in the record; ``offers``: -> its file."""
 
     def __init__(self, session: Session) -> None:
         self._session = session
@@ -42,6 +51,7 @@ class TriggerBook:
         self._open: dict[int, float] = {}
         self.places: dict[int, Geotag] = {}
         self.seqs: dict[int, int] = {}
+        self.offers: dict[int, Offer] = {}
         self._restore()
 
     @property
@@ -88,6 +98,7 @@ class TriggerBook:
                 self.seqs[photo.number] = self._session.add_trigger(_row(photo, heard_s)).seq
                 self._open[photo.number] = heard_s
             self._session.add_event(Event(HEARD, Stamp(heard_s, ClockName.UTC), self._heard(photo, report)))
+        self._note_offer(photo.number, report)
         return new
 
     def restarted(self, heard_s: float) -> None:
@@ -127,6 +138,10 @@ class TriggerBook:
             self._session.add_event(Event(PLACED, Stamp(now_s, ClockName.UTC), data))
             self.places[number] = tag
 
+    def _note_offer(self, number: int, report: PhotoReport) -> None:
+        if report.url and report.confirmed is not False:
+            self.offers.setdefault(number, Offer(number, report.url, report.component_id))
+
     def _heard(self, photo: LinkTrigger, report: PhotoReport) -> dict[str, Any]:
         utc_s, boot_s = self._times[photo.number]
         said = _REPORT.dump_python(report, mode="json", exclude_defaults=True)
@@ -141,7 +156,9 @@ class TriggerBook:
                 self._started = self.count
             elif kind == HEARD:
                 heard_s = event.value.at.time_s
-                self._filter.add(_REPORT.validate_python(data["report"]), heard_s)
+                report = _REPORT.validate_python(data["report"])
+                self._filter.add(report, heard_s)
+                self._note_offer(data["photo"], report)
                 self.seqs[data["photo"]] = rows[_key(data["photo"])]
                 self._open.setdefault(data["photo"], heard_s)
                 self._times[data["photo"]] = (data["utc_s"], data["boot_s"])

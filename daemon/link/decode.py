@@ -161,7 +161,8 @@ def _captured(m: Message, context: Context) -> ev.Event:
     _, utc_s = _either(m.integer("time_utc"))
     boot_ms = m.integer("time_boot_ms")
     return ev.PhotoReport(
-        ev.PhotoSource.CAPTURED,
+        # Beside PX4's own report of a photo its camera's may come: two sources, each with its numbers.
+        ev.PhotoSource.CAPTURED if own_clock else ev.PhotoSource.CAMERA,
         m.component_id,
         m.integer("camera_id"),
         m.integer("image_index"),

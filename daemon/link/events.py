@@ -101,7 +101,8 @@ class CameraPose:
 class PhotoSource(StrEnum):
     FEEDBACK = "feedback"  # CAMERA_FEEDBACK, ArduPilot
     TRIGGER = "trigger"  # CAMERA_TRIGGER, PX4
-    CAPTURED = "captured"  # CAMERA_IMAGE_CAPTURED, PX4 or a camera component
+    CAPTURED = "captured"  # CAMERA_IMAGE_CAPTURED of the autopilot, PX4
+    CAMERA = "camera"  # CAMERA_IMAGE_CAPTURED of a camera component
 
 
 @dataclass(frozen=True, kw_only=True)

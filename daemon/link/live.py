@@ -279,7 +279,7 @@ class Link(Closing):
             self._note(frame, at_us)
             if self._state.quality.heartbeat_s != beats or vehicle is None:
                 line.answer(origin)
-            if self._forward is not None:
+            if self._forward is not None and not _for_us_alone(frame):
                 self._forward.send(frame.raw)
             job, message = self._job, frame.message
             if job is not None and message is not None and frame.system_id == self._state.system_id:
@@ -294,7 +294,7 @@ class Link(Closing):
     def _note(self, frame: wire.Frame, at_us: int, ours: bool = False) -> None:
         """Into the log and the state; events to whoever reads them."""
         if self._log_writer is not None:
-            self._log_writer.write(at_us, frame.raw)
+            self._log_writer.write(at_us, wire.without_content(frame))
             if self._log_writer.fault != self._health.log_fault:
                 self._health = replace(self._health, log_fault=self._log_writer.fault)
         self._state, events = self._state.hear(frame, at_us / 1e6, ours)
@@ -375,3 +375,11 @@ class Link(Closing):
         self._reopen_wait_s = REOPEN_S
         count = self._health.reopened + 1
         self._health = replace(self._health, open=True, fault=None, reopened=count)
+
+
+def _for_us_alone(frame: wire.Frame) -> bool:
+    """A file's content that we asked for: a ground station behind us has no use for it."""
+    message = frame.message
+    if message is None or message.name != wire.FILE_TRANSFER:
+        return False
+    return message.integer("target_system") == wire.SYSTEM_ID

@@ -70,6 +70,11 @@ class Message:
             return ()
         return tuple(float(v) if isinstance(v, int | float) else math.nan for v in value)
 
+    def octets(self, name: str) -> bytes:
+        """An array of bytes; empty where it is missing or none."""
+        value = self.fields.get(name)
+        return bytes(value) if isinstance(value, list) else b""
+
     def text(self, name: str) -> str:
         value = self.fields.get(name)
         return value.split("\0", 1)[0] if isinstance(value, str) else ""

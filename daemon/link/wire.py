@@ -26,6 +26,8 @@ SYSTEM_ID = 245
 COMPONENT_ID = int(mavlink.MAV_COMP_ID_ONBOARD_COMPUTER)
 GROUND_STATION = int(mavlink.MAV_TYPE_GCS)
 _MAVLINK2, _MAVLINK1 = 0xFD, 0xFE
+FILE_TRANSFER = "FILE_TRANSFER_PROTOCOL"
+FILE_PAYLOAD_BYTES, FILE_HEADER_BYTES = 251, 12
 
 
 @dataclass(frozen=True)
@@ -102,6 +104,27 @@ def ask_message(system_id: int, message_name: str) -> Outgoing:
 def command(system_id: int, number: int, *params: float) -> Outgoing:
     seven = [*params, *[0.0] * (7 - len(params))]
     return mavlink.MAVLink_command_long_message(system_id, 1, number, 0, *seven)
+
+
+def file_transfer(system_id: int, component_id: int, payload: bytes) -> Outgoing:
+    """FILE_TRANSFER_PROTOCOL; ``payload`` up to :data:`FILE_PAYLOAD_BYTES`."""
+    full = payload.ljust(FILE_PAYLOAD_BYTES, b"\0")
+    return mavlink.MAVLink_file_transfer_protocol_message(0, system_id, component_id, list(full))
+
+
+def without_content(frame: Frame) -> bytes:
+    """A frame as it belongs into a log: of a file's content that is carried over the link only the header.
+
+    Sequence number and sender stay, so that a replay counts as the link did.
+    """
+    message = frame.message
+    if message is None or message.name != FILE_TRANSFER:
+        return frame.raw
+    sender = mavlink.MAVLink(None, frame.system_id, frame.component_id)
+    sender.seq = frame.sequence
+    to = (message.integer("target_system"), message.integer("target_component"))
+    short: bytes = file_transfer(*to, message.octets("payload")[:FILE_HEADER_BYTES]).pack(sender)
+    return short
 
 
 def read_parameter(system_id: int, name: str) -> Outgoing:

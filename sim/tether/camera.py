@@ -13,6 +13,7 @@ from pathlib import Path
 from daemon.link import events as ev
 from daemon.link.live import Link
 from daemon.link.transfer import ReadParameters
+from sim.tether.offering import Offering
 from sim.tether.shutter import Exposure, Shutter
 from sim.tether.studio import Studio, StudioOptions
 from sim.truth import SurveyTruth
@@ -43,6 +44,7 @@ class Camera:
 
     Args:
         tell: called now and then with the count.
+        offering: is told of each file that is there.
     """
 
     def __init__(
@@ -53,11 +55,13 @@ class Camera:
         *,
         miss_share: float = 0.0,
         tell: Callable[[Count], None] = lambda _: None,
+        offering: Offering | None = None,
     ) -> None:
         self.shutter = Shutter(random.Random(options.seed), miss_share)
         self.truth: SurveyTruth | None = None
         self.worst_s = 0.0
         self._link, self._options, self._out, self._tell = link, options, out, tell
+        self._offering = offering
         self._pool = ThreadPoolExecutor(_WORKERS, thread_name_prefix="photo")
         self._studio: Future[Studio] | None = None
         self._held: deque[Exposure] = deque()
@@ -161,7 +165,9 @@ class Camera:
 
     def _take(self, studio: Studio, number: int, exposure: Exposure, first_utc_s: float) -> float:
         """When the photo was there, on the link's clock. Runs in the pool."""
-        studio.take(number, exposure, first_utc_s)
+        name = studio.take(number, exposure, first_utc_s)
+        if self._offering is not None:
+            self._offering.tell(number - 1, name, exposure)
         return self._link.now_s()
 
     def _count_written(self) -> None:

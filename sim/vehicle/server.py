@@ -12,7 +12,7 @@ from typing import Any
 from sim.vehicle.dialect import MavMessage, mavlink
 from sim.vehicle.faults import Faults, FaultyLink
 from sim.vehicle.options import VehicleOptions
-from sim.vehicle.vehicle import Vehicle
+from sim.vehicle.vehicle import CAMERA_COMPONENT, Vehicle
 
 #: Wall time between two looks at the socket (s).
 LOOK_S = 0.005
@@ -120,14 +120,30 @@ class VehicleServer:
             while data:
                 for message in self._parser.parse_buffer(data) or []:
                     if origin == self._camera:
-                        self._tell_camera(link, self.vehicle.receive(message))
+                        out += self._from_camera(link, message)
                     elif self._link.lets_in(message, self.vehicle.link_s):
-                        out += self.vehicle.receive(message)
+                        out += self._from_ground(link, message)
                 data, origin = link.recvfrom(4096)
         except (TimeoutError, BlockingIOError, ConnectionError):
             pass
         link.settimeout(LOOK_S)
         return out
+
+    def _from_camera(self, link: socket.socket, message: MavMessage) -> list[MavMessage]:
+        """What the camera says as a component of the vehicle is passed on, as autopilots do."""
+        own = (message.get_srcSystem(), message.get_srcComponent())
+        if own == (self.vehicle.options.system_id, CAMERA_COMPONENT):
+            message.from_component = CAMERA_COMPONENT
+            return [message]
+        self._tell_camera(link, self.vehicle.receive(message))
+        return []
+
+    def _from_ground(self, link: socket.socket, message: MavMessage) -> list[MavMessage]:
+        to = (getattr(message, "target_system", 0), getattr(message, "target_component", 0))
+        if self._camera is not None and to == (self.vehicle.options.system_id, CAMERA_COMPONENT):
+            self._send(link, self._camera, bytes(message.get_msgbuf()))
+            return []
+        return self.vehicle.receive(message)
 
 
 def _senders(system_id: int) -> dict[int, Any]:
