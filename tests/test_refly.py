@@ -9,12 +9,14 @@ from typing import Any
 
 import numpy as np
 import pytest
+from align_blocks import solved
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.refly_optimality import check_of, flown, outcome
 from calib.errors import FieldcalError, FormatError, InputError
 from calib.findings import Finding, State, Verdict
+from calib.flown import flown_network
 from calib.flown_file import NETWORK_FILE, FlownCheck, network_bytes, read_network
 from calib.network_design import lens_information
 from calib.network_views import SIMULATED
@@ -122,6 +124,26 @@ def test_what_is_kept_knows_as_much_as_all_of_it() -> None:
     ratio = lens_information(kept.network, kept.known).covariance[0, 0]
     ratio /= lens_information(full, kept.known).covariance[0, 0]
     assert 0.85 < np.sqrt(ratio) < 1.15
+
+
+def test_a_point_that_hangs_in_the_air_is_not_kept() -> None:
+    """All rays of one point but two from one place are down-weighted: nothing tells its height any more."""
+    _, calibrated = solved("demo", 1, 200)
+    adjusted, obs = calibrated.adjusted, calibrated.observations
+    seen = np.bincount(obs.point)
+    one = int(np.argmax(seen))
+    rays = np.flatnonzero(obs.point == one)
+    centres = adjusted.state.centres_m.copy()
+    centres[obs.photo[rays[1]]] = centres[obs.photo[rays[0]]] + [0.1, 0.0, 0.0]
+    weights = adjusted.weights.copy()
+    weights[rays[2:]] = 0.01
+    state = replace(adjusted.state, centres_m=centres)
+    hanging = replace(calibrated, adjusted=replace(adjusted, state=state, weights=weights))
+    place = adjusted.state.points_m[one]
+    for block, there in ((calibrated, True), (hanging, False)):
+        kept = flown_network(block, 1.0).network
+        assert (np.linalg.norm(kept.points_m - place, axis=1).min() < 1e-9) == there
+        assert np.bincount(kept.point).min() >= 2
 
 
 # --- The pass --------------------------------------------------------------------------------------
