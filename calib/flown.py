@@ -57,7 +57,8 @@ def flown_network(block: Calibrated, correlation_factor: float) -> FlownNetwork:
     """
     adjusted, adjustment = block.adjusted, block.adjustment
     obs, state = block.observations, adjusted.state
-    excess = max(correlation_factor / adjustment.noise_factor, 1.0)
+    # Less than 1 where the weights allow for what the shutter's unknowns have explained since.
+    excess = correlation_factor / adjustment.noise_factor
     noise = float(np.median(obs.sigma_px)) * adjusted.sigma0 * float(np.sqrt(excess))
     good = adjusted.weights > _LEAST_WEIGHT
     # A point whose remaining rays hardly cross hangs in the air: it says nothing of the lens, and its place

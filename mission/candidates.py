@@ -27,8 +27,10 @@ WINDOW_POINTS_EACH = 140
 REACH = 2.5
 #: Of all points there an even part is used: so many in a photo that looks straight down (in the search, in
 #: its check), and altogether at most.
-IN_VIEW, CHECK_IN_VIEW = 20, 50
-MOST_EVEN, CHECK_MOST_EVEN = 260, 500
+IN_VIEW, CHECK_IN_VIEW = 16, 40
+MOST_EVEN, CHECK_MOST_EVEN = 220, 400
+#: Of these a photo has to see at least so many.
+LEAST_EVEN = 5
 #: Tilts off nadir, heights over the survey's, and numbers of photos of the rings tried.
 TILTS_DEG = (20.0, 30.0, 40.0)
 HEIGHT_FACTORS = (1.0, 1.3)
@@ -156,7 +158,7 @@ class Candidates:
         pose_sigma = (math.radians(given.attitude_sigma_deg), given.position_sigma_m)
         for i in range(len(stations)):
             mine = np.flatnonzero(photo == i)
-            if len(mine) < LEAST_POINTS:
+            if len(mine) < (LEAST_EVEN if self._even else LEAST_POINTS):
                 found.append(None)
                 continue
             weight = 1.0
