@@ -31,6 +31,9 @@ IN_VIEW, CHECK_IN_VIEW = 16, 40
 MOST_EVEN, CHECK_MOST_EVEN = 220, 400
 #: Of these a photo has to see at least so many.
 LEAST_EVEN = 5
+#: More photos than this are checked with the search's points: their share of the work grows with the third
+#: power, and thinned points tell almost the same.
+FEW_PHOTOS = 14
 #: Tilts off nadir, heights over the survey's, and numbers of photos of the rings tried.
 TILTS_DEG = (20.0, 30.0, 40.0)
 HEIGHT_FACTORS = (1.0, 1.3)
@@ -130,7 +133,7 @@ class Candidates:
 
         They are matched among each other, too.
         """
-        ground = self._check_ground
+        ground = self._check_ground if len(photos) <= FEW_PHOTOS else self._ground
         rows = self._rows(ground, [self.stations[i] for i in photos], CHECK_POINTS, together=True)
         return PhotoPool(ground.joint, [r for r in rows if r is not None])
 

@@ -243,18 +243,16 @@ class PassSearch:
                     dome_percent=share * wanted.dome_percent,
                 )
             )
-            quick = [hunt.greedy((), by_time) for by_time in (False, True)]
-            many = min(len(choice.photos) for choice in quick) > MANY_PHOTOS
-            if many:
-                choice = min(quick, key=lambda c: (not c.good, c.seconds))
-            else:
+            choice = hunt.greedy((), by_time=False)
+            many = len(choice.photos) > MANY_PHOTOS
+            if not many:
                 choice = hunt.best([photos for photos, _ in self.shapes if len(photos) > 2])
                 choice = self._improved(hunt, choice)
             first = self.found(choice.photos)
-            now = self._trimmed(choice.photos) if first.good else first
+            now = self._trimmed(choice.photos) if first.good and not many else first
             if found is None or now.rank < found.rank:
                 found = now
-            if _CLOSE <= first.ratio <= 1.0 or (many and first.good) or (first.ratio > 1 and not choice.good):
+            if _CLOSE <= first.ratio <= 1.0 or (first.ratio > 1 and not choice.good):
                 break
             share /= 1.02 * first.ratio
         if found is None:

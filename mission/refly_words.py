@@ -24,7 +24,8 @@ def metres(value: float) -> str:
     """A small length for people."""
     if value >= 1:
         return f"{value:.1f} m"
-    return f"{100 * value:.2g} cm" if value >= 0.01 else f"{1000 * value:.1g} mm"
+    # Two rounds of formatting, or 99.9 would be 1e+02.
+    return f"{float(f'{100 * value:.2g}'):g} cm" if value >= 0.01 else f"{float(f'{1000 * value:.1g}'):g} mm"
 
 
 def time_words(seconds: float) -> str:
