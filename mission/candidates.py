@@ -27,8 +27,8 @@ WINDOW_POINTS_EACH = 140
 REACH = 2.5
 #: Of all points there an even part is used: so many in a photo that looks straight down (in the search, in
 #: its check), and altogether at most.
-IN_VIEW, CHECK_IN_VIEW = 16, 40
-MOST_EVEN, CHECK_MOST_EVEN = 220, 400
+IN_VIEW, CHECK_IN_VIEW = 16, 32
+MOST_EVEN, CHECK_MOST_EVEN = 160, 320
 #: Of these a photo has to see at least so many.
 LEAST_EVEN = 5
 #: More photos than this are checked with the search's points: their share of the work grows with the third
