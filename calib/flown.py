@@ -6,11 +6,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.align.selfcal import Calibrated
+from calib.align.adjust import ray_angle_deg
+from calib.align.selfcal import LEAST_ANGLE_DEG, Calibrated
 from calib.camera import FloatArray
 from calib.network_design import CameraNetwork, Known
 from calib.network_views import seen_points
-from calib.solution import IntArray
+from calib.solution import IntArray, Observations
 
 #: Views kept of each photo, on average: as many as let its pose and its part of the lens be told.
 VIEWS_PER_PHOTO = 90
@@ -56,11 +57,14 @@ def flown_network(block: Calibrated, correlation_factor: float) -> FlownNetwork:
     """
     adjusted, adjustment = block.adjusted, block.adjustment
     obs, state = block.observations, adjusted.state
-    excess = max(correlation_factor / adjustment.noise_factor, 1.0)
+    # Less than 1 where the weights allow for what the shutter's unknowns have explained since.
+    excess = correlation_factor / adjustment.noise_factor
     noise = float(np.median(obs.sigma_px)) * adjusted.sigma0 * float(np.sqrt(excess))
     good = adjusted.weights > _LEAST_WEIGHT
-    counts = np.bincount(obs.point[good], minlength=len(state.points_m))
-    good &= counts[obs.point] >= 2
+    # A point whose remaining rays hardly cross hangs in the air: it says nothing of the lens, and its place
+    # would decide the dome.
+    counted = Observations(obs.photo[good], obs.point[good], obs.pixels[good], obs.sigma_px[good])
+    good &= (ray_angle_deg(state.centres_m, state.points_m, counted) > LEAST_ANGLE_DEG)[obs.point]
     priors = adjustment.priors
     known = Known(
         priors.centre_sigma_m, priors.rotation_sigma_rad, priors.lens_sigma, adjusted.free,

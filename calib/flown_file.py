@@ -46,8 +46,8 @@ _SHAPES = {
     "brown": (len(BROWN_NAMES),),
     "brown_covariance": (len(BROWN_NAMES), len(BROWN_NAMES)),
 }
-#: What reading a damaged file may end in.
-_DAMAGE = (ValueError, KeyError, EOFError, OSError, zipfile.BadZipFile, zlib.error)
+#: What reading a damaged file may end in; a flipped bit may ask for a password (RuntimeError).
+_DAMAGE = (ValueError, KeyError, EOFError, OSError, RuntimeError, zipfile.BadZipFile, zlib.error)
 _MAY_BE_INFINITE = ("centre_sigma_m", "rotation_sigma_rad", "lens_sigma")
 
 

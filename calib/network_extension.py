@@ -79,9 +79,17 @@ class Joint:
 
 
 def joint_covariance(
-    network: CameraNetwork, known: Known, functionals: FloatArray, points: IntArray
+    network: CameraNetwork,
+    known: Known,
+    functionals: FloatArray,
+    points: IntArray,
+    stands_for: float = 1.0,
 ) -> Joint:
     """Covariance of the lens, of ``functionals`` (c, m, 3) and of the chosen ``points`` (indices).
+
+    Args:
+        stands_for: points of the network for each one chosen. A chosen point is then their mean: what is
+            its own, given poses and lens, is so many times better known.
 
     Raises:
         numpy.linalg.LinAlgError: lens or poses are not observable; give them priors.
@@ -106,7 +114,7 @@ def joint_covariance(
     covariance[q : q + c, q : q + c] -= s[n:, n:]
     own = np.einsum("mji,mjk->mik", inverse_root, inverse_root)
     at = q + c + 3 * np.arange(len(points))[:, None] + np.arange(3)
-    covariance[at[:, :, None], at[:, None, :]] += own
+    covariance[at[:, :, None], at[:, None, :]] += own / stands_for
     shared = np.einsum("mij,cmj->cmi", own, functionals[:, points]).reshape(c, -1)
     covariance[q : q + c, q + c :] += shared
     covariance[q + c :, q : q + c] += shared.T

@@ -4,6 +4,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 
@@ -21,14 +23,46 @@ MOST_POINTS, CHECK_POINTS, LEAST_POINTS = 16, 36, 8
 WINDOW_POINTS = 260
 #: Around each of several places.
 WINDOW_POINTS_EACH = 140
-#: Oblique photos reach that far, in flying heights, and tie the site together; an even part of the points
-#: there has as many.
-REACH, EVEN_POINTS = 2.5, 240
+#: Oblique photos reach that far, in flying heights, and tie the site together.
+REACH = 2.5
+#: Of all points there an even part is used: so many in a photo that looks straight down (in the search, in
+#: its check), and altogether at most.
+IN_VIEW, CHECK_IN_VIEW = 16, 32
+MOST_EVEN, CHECK_MOST_EVEN = 160, 320
+#: Of these a photo has to see at least so many.
+LEAST_EVEN = 5
+#: More photos than this are checked with the search's points: their share of the work grows with the third
+#: power, and thinned points tell almost the same.
+FEW_PHOTOS = 14
 #: Tilts off nadir, heights over the survey's, and numbers of photos of the rings tried.
 TILTS_DEG = (20.0, 30.0, 40.0)
 HEIGHT_FACTORS = (1.0, 1.3)
 RING_PHOTOS = (4, 6, 8, 12, 16)
 PATTERN = "fix"
+
+
+@dataclass(frozen=True)
+class _Ground:
+    """Points of the network that photos are tied to: each stands for ``stands_for`` of the network's."""
+
+    joint: Joint
+    views: FloatArray
+    stands_for: float
+
+
+def _ground(planned: PlannedNetwork, points: IntArray, stands_for: float = 1.0) -> _Ground:
+    """Every ``stands_for``-th of the network's ``points``, and the views of them that there are."""
+    net = planned.network
+    part = points[np.linspace(0, len(points) - 1, max(round(len(points) / stands_for), 1)).astype(int)]
+    place = np.full(len(net.points_m), -1)
+    place[part] = np.arange(len(part))
+    views = place[net.point] >= 0
+    ray = net.centres_m[net.photo[views]] - net.points_m[net.point[views]]
+    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
+    table = view_table(ray, place[net.point[views]], len(part))
+    return _Ground(
+        joint_covariance(net, planned.known, planned.functionals, part, stands_for), table, stands_for
+    )
 
 
 class Candidates:
@@ -45,28 +79,31 @@ class Candidates:
         even: bool = False,
     ) -> None:
         """``even``: an even part of all points within reach, instead of the nearest ones."""
-        self.planned, self.vehicle, self.most_points = planned, vehicle, most_points
+        self.planned, self.vehicle, self.most_points, self._even = planned, vehicle, most_points, even
         self.feasible = feasible or (lambda _: True)
-        net = planned.network
-        away = np.linalg.norm(net.points_m[:, None, :2] - middles_m, axis=2)
+        away = np.linalg.norm(planned.network.points_m[:, None, :2] - middles_m, axis=2)
         each = WINDOW_POINTS if len(middles_m) == 1 else WINDOW_POINTS_EACH
         nearest = np.argsort(away, axis=0, kind="stable")[: len(away) if even else each].ravel()
-        near = np.unique(nearest[away[nearest].min(axis=1) < REACH * planned.height_agl_m])
-        #: Points of the network for each one that is used.
-        self.stands_for = max(len(near) / EVEN_POINTS, 1.0) if even else 1.0
-        near = near[np.linspace(0, len(near) - 1, round(len(near) / self.stands_for)).astype(int)]
-        self.joint: Joint = joint_covariance(net, planned.known, planned.functionals, near)
-        place = np.full(len(net.points_m), -1)
-        place[near] = np.arange(len(near))
-        views = place[net.point] >= 0
-        ray = net.centres_m[net.photo[views]] - net.points_m[net.point[views]]
-        ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-        self._views = view_table(ray, place[net.point[views]], len(near))
+        self._near = np.unique(nearest[away[nearest].min(axis=1) < REACH * planned.height_agl_m])
+        self._ground = self._even_ground(IN_VIEW, MOST_EVEN) if even else _ground(planned, self._near)
         self.stations: list[Station] = []
         self.pool = PhotoPool(self.joint, [])
         self.detours = Detours(vehicle, gaps, np.zeros((0, 3)))
         self._index: dict[Station, int] = {}
         self._useless: set[Station] = set()
+
+    @property
+    def joint(self) -> Joint:
+        """Of the network and the points that the search uses."""
+        return self._ground.joint
+
+    def _even_ground(self, in_view: int, most: int) -> _Ground:
+        per_photo = self.planned.assumptions.points_per_photo
+        return _ground(self.planned, self._near, max(per_photo / in_view, len(self._near) / most, 1.0))
+
+    @cached_property
+    def _check_ground(self) -> _Ground:
+        return self._even_ground(CHECK_IN_VIEW, CHECK_MOST_EVEN) if self._even else self._ground
 
     def add(self, stations: Sequence[Station]) -> list[int | None]:
         """Their numbers in the pool; None where a photo is not allowed or sees too little."""
@@ -79,7 +116,7 @@ class Candidates:
             and self.feasible(s)
         ]
         kept = []
-        for station, rows in zip(new, self._rows(new), strict=True):
+        for station, rows in zip(new, self._rows(self._ground, new, self.most_points), strict=True):
             if rows is None:
                 self._useless.add(station)
             else:
@@ -96,16 +133,17 @@ class Candidates:
 
         They are matched among each other, too.
         """
-        rows = self._rows([self.stations[i] for i in photos], CHECK_POINTS, together=True)
-        return PhotoPool(self.joint, [r for r in rows if r is not None])
+        ground = self._check_ground if len(photos) <= FEW_PHOTOS else self._ground
+        rows = self._rows(ground, [self.stations[i] for i in photos], CHECK_POINTS, together=True)
+        return PhotoPool(ground.joint, [r for r in rows if r is not None])
 
     def _rows(
-        self, stations: Sequence[Station], most_points: int | None = None, together: bool = False
+        self, ground: _Ground, stations: Sequence[Station], most: int, together: bool = False
     ) -> list[PhotoRows | None]:
+        """What each photo measures; of more than ``most`` points (any number, of an even ground) a part."""
         if not stations:
             return []
-        most = most_points or self.most_points
-        planned, joint = self.planned, self.joint
+        planned, joint = self.planned, ground.joint
         camera, given = planned.network.lens.brown, planned.assumptions
         rotations, centres = poses(stations, given.attitude_scatter_deg)
         photo, point = seen_points(
@@ -113,7 +151,7 @@ class Candidates:
         )
         ray = centres[photo] - joint.points_m[point]
         ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-        angle = angle_to_views_deg(ray, point, self._views)
+        angle = angle_to_views_deg(ray, point, ground.views)
         if together:
             angle = np.minimum(angle, nearest_view_deg(photo, point, centres, joint.points_m))
         share = given.matching.share(angle) / planned.own_share
@@ -123,15 +161,15 @@ class Candidates:
         pose_sigma = (math.radians(given.attitude_sigma_deg), given.position_sigma_m)
         for i in range(len(stations)):
             mine = np.flatnonzero(photo == i)
-            if len(mine) < LEAST_POINTS:
+            if len(mine) < (LEAST_EVEN if self._even else LEAST_POINTS):
                 found.append(None)
                 continue
             weight = 1.0
-            if len(mine) > most:
+            if len(mine) > most and not self._even:
                 # Every n-th of an even sequence is even again.
                 part: IntArray = mine[np.linspace(0, len(mine) - 1, most).astype(int)]
                 weight, mine = float(share[mine].sum() / share[part].sum()), part
-            sigma = given.sigma_px / np.sqrt(self.stands_for * weight * share[mine])
+            sigma = given.sigma_px / np.sqrt(ground.stands_for * weight * share[mine])
             found.append(
                 photo_rows(
                     joint, planned.network.lens, planned.known, rotations[i], centres[i], point[mine], sigma,

@@ -8,7 +8,7 @@ with any one of the added photos missing. Deterministic.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import combinations, starmap
@@ -190,13 +190,19 @@ class Search:
         n = len(choice.photos)
         if n < 3 or n <= self.criterion.least_photos:
             return None
-        with_all = self.pool.combined(choice.photos)
         rest = [tuple(p for p in choice.photos if p != one) for one in choice.photos]
         costs = [self.detours.seconds(r) for r in rest]
-        for a in sorted(range(n), key=lambda a: (costs[a], a)):
+        order = sorted(range(n), key=lambda a: (costs[a], a))
+        first = next(self.dispensable(choice.photos, order), None)
+        return None if first is None else self.choice(rest[first])
+
+    def dispensable(self, photos: Sequence[int], order: Sequence[int] | None = None) -> Iterator[int]:
+        """Places in ``photos`` (looked at in ``order``) without which the criterion holds all the same."""
+        n = len(photos)
+        with_all = self.pool.combined(tuple(photos))
+        for a in range(n) if order is None else order:
             if all(self._one_ratio(with_all.without(a, b)) <= 1.0 for b in range(n) if b != a):
-                return self.choice(rest[a])
-        return None
+                yield a
 
     def _with_another(self, choice: Choice) -> Choice | None:
         for one in choice.photos:

@@ -8,21 +8,22 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
+from scipy.special import chdtrc
 from shapely import Polygon
 
 from calib.align.adjust import Priors
 from calib.align.georeference import DEFAULT_SIGMA_M
-from calib.align.selfcal import BASIC, mask
+from calib.align.selfcal import BASIC, SHUTTER_P, SHUTTER_WAY, mask
 from calib.align.uncertainty import beyond_field
 from calib.brownfit import fit_brown
-from calib.camera import FloatArray
+from calib.camera import BROWN_NAMES, FloatArray
 from calib.errors import InputError
 from calib.flown import FlownNetwork
 from calib.flown_file import FlownCheck
 from calib.frames import LocalFrame
 from calib.network_design import dome_functional, lens_information
 from calib.network_views import SIMULATED, nearest_view_deg
-from mission.planned_network import MODEL_ERROR_FACTOR, Assumptions, PlannedNetwork
+from mission.planned_network import Assumptions, PlannedNetwork
 from mission.site import Site
 from mission.site_build import site_of, terrain_of
 from mission.site_file import SiteFile
@@ -33,6 +34,13 @@ _FARTHEST_LAUNCH_M = 5000.0
 _CELL_M = 8.0
 #: Attitudes without a measurement are known to this much from the plan itself.
 _ATTITUDE_SIGMA_DEG = 5.0
+#: How much larger than formal sigmas the check's are after a pass. Correlated noise, most of what a plan
+#: before take-off has to expect (2.7 of the rows in ``mission.planned_network``), is in the flight's own
+#: noise already; left are the rows none, aspect, pattern (1.0) and rolling shutter (1.1).
+MODEL_ERROR_FACTOR = 1.1
+#: Pixels of real cameras are square to better than this share; five metres a second in 30 ms at 120 m are
+#: more.
+OUT_OF_SQUARE = 4e-4
 #: A block whose own sigma exceeds that of its network by more than this had other trouble than geometry.
 _MOST_LOST = 2.0
 
@@ -121,6 +129,11 @@ def flown_site(check: FlownCheck, keys: SiteFile, name: str = "refly") -> FlownS
     moved = replace(net, points_m=points, centres_m=centres)
     hull = shapely.MultiPoint(centres[:, :2]).convex_hull
     area = hull if isinstance(hull, Polygon) else hull.buffer(0.3 * check.height_agl_m)
+    if hidden_shutter(check):
+        notes.append(
+            "The pixels seem not to be square: perhaps the camera reads its rows one after the other while "
+            "it moves. The pass allows for that."
+        )
     frame = LocalFrame(latitude, longitude)
     terrain = (
         tie_point_terrain(points)
@@ -149,15 +162,35 @@ def _launch_up_m(check: FlownCheck, at_m: FloatArray, notes: list[str], given: b
     return check.launch_up_m
 
 
+def hidden_shutter(check: FlownCheck) -> bool:
+    """Whether a rolling shutter may hide in the affinity: pixels are square.
+
+    Where all lines are flown the same way in the image, the way during the readout stretches every photo
+    alike. Photos from aside tell the two apart, and the check then asks for the way of every single photo.
+    """
+    if check.flown.known.shutter_sigma_m is not None:
+        return False
+    at = [BROWN_NAMES.index(name) for name in ("b1", "b2")]
+    affinity = check.brown.vector[at]
+    if float(np.linalg.norm(affinity)) < OUT_OF_SQUARE * check.brown.f_px:
+        return False
+    size = float(affinity @ np.linalg.solve(check.brown_covariance[np.ix_(at, at)], affinity))
+    return float(chdtrc(2, size)) < SHUTTER_P
+
+
 def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
     """The network as the search takes it, with the block's own noise, tie points and priors."""
     lens = flown.network.lens
     # With more photos more parameters are significant: the pass has to serve all of them.
     free = mask((*BASIC, "k3", "p1", "p2", "b1", "b2"), field=True)
+    shutter_m = SHUTTER_WAY * check.height_agl_m if hidden_shutter(check) else flown.known.shutter_sigma_m
     # Precise positions that contradict the images are dropped, perhaps only when the pass is there to show
     # it: the images have to do without them.
     known = replace(
-        flown.known, free=free, centre_sigma_m=np.maximum(flown.known.centre_sigma_m, DEFAULT_SIGMA_M)
+        flown.known,
+        free=free,
+        centre_sigma_m=np.maximum(flown.known.centre_sigma_m, DEFAULT_SIGMA_M),
+        shutter_sigma_m=shutter_m,
     )
     functionals = dome_functional(flown.network.points_m)[None]
     gradient = fit_brown(lens)[1][0]

@@ -5,9 +5,8 @@ from __future__ import annotations
 from calib.findings import State, Verdict
 from calib.flown_file import FlownCheck
 from calib.limits import percent
-from mission.optimise import DOME_SIGMA_PERCENT
 from mission.plan import Station
-from mission.refly_search import Found
+from mission.refly_search import CURED_DOME_PERCENT, Found
 from mission.timing import minutes
 
 WALL = (
@@ -24,7 +23,8 @@ def metres(value: float) -> str:
     """A small length for people."""
     if value >= 1:
         return f"{value:.1f} m"
-    return f"{100 * value:.2g} cm" if value >= 0.01 else f"{1000 * value:.1g} mm"
+    # Two rounds of formatting, or 99.9 would be 1e+02.
+    return f"{float(f'{100 * value:.2g}'):g} cm" if value >= 0.01 else f"{float(f'{1000 * value:.1g}'):g} mm"
 
 
 def time_words(seconds: float) -> str:
@@ -118,7 +118,7 @@ def cautions(check: FlownCheck) -> tuple[str, ...]:
 
 def short_of(found: Found, tie_points: float, noise_px: float) -> str:
     """Why the best pass does not do where no limit forbids a better one."""
-    if found.worth.dome_beyond_percent > LENS_SHARE * DOME_SIGMA_PERCENT:
+    if found.worth.dome_beyond_percent > LENS_SHARE * CURED_DOME_PERCENT:
         return (
             "Not a limit but the lens: it bends rays in a way that no lens model follows, and over a site "
             "this wide for its height that alone leaves room for a dome of "
