@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.pairing_flights import cut, flight
-from daemon.capture.alignment import LOG_END, Cells, align, log_jump
+from daemon.capture.alignment import Cells, align, possible_pairs
 from daemon.capture.pairing import pair, renew, update, without_repeats
+from daemon.capture.paths import LOG_END, log_jump, path_sums
 from daemon.capture.records import KnownClock, Shot, Trigger
 
 EQUAL_S = 300 + 2.0 * np.arange(80)
@@ -41,6 +42,23 @@ def test_sums_equal_the_enumeration_of_all_alignments(n_t: int, n_p: int, seed: 
     got = align(Cells(i, j, weight.ravel()), n_t, n_p)
     assert got.probability == pytest.approx((joint / total).ravel(), abs=1e-9)
     assert got.log_evidence == pytest.approx(np.log(total) - LOG_END * (n_t + n_p), abs=1e-9)
+
+
+def test_sums_over_a_long_band_equal_each_path_added_up() -> None:
+    """Weights that grow beyond what a float holds, rows of losses on either side, narrow windows."""
+    rng = np.random.default_rng(3)
+    trigger_s = np.delete(np.cumsum(rng.uniform(0.5, 2.0, 260)), np.s_[60:75])
+    photo_s = np.delete(np.cumsum(rng.uniform(0.5, 2.0, 250)), np.s_[140:170])
+    i, j = possible_pairs(trigger_s, photo_s, np.zeros(len(photo_s)), 2.5)
+    weight = rng.normal(4, 6, len(i))
+    out = np.empty(len(i))
+    for k in range(len(i)):
+        h, g = i[k] - i[:k] - 1, j[k] - j[:k] - 1
+        earlier = np.flatnonzero((h >= 0) & (g >= 0))
+        jumps = [log_jump(int(h[n]), int(g[n])) for n in earlier]
+        out[k] = weight[k] + np.logaddexp.reduce([LOG_END * (i[k] + j[k]), *(out[earlier] + jumps)])
+    assert out.max() > 1000
+    assert path_sums(i, j, weight) == pytest.approx(out, abs=1e-8)
 
 
 @pytest.mark.parametrize("resolution_s", [1.0, 0.01])

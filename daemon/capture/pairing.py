@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daemon.capture.alignment import LOG_PAIR, P_GAP, Aligned, Cells, FloatArray, align, coincident
+from daemon.capture.alignment import Aligned, Cells, align, coincident
 from daemon.capture.clocks import (
     DRIFT_SIGMA,
     MAX_JITTER_S,
@@ -18,6 +18,7 @@ from daemon.capture.clocks import (
     fit,
     log_density_alone,
 )
+from daemon.capture.paths import LOG_PAIR, P_GAP, FloatArray
 from daemon.capture.records import Alternative, ClockFit, KnownClock, Pair, Pairing, Shot, Trigger
 
 #: Within this the same image index means the same message sent again.
@@ -234,9 +235,9 @@ def _refine(times: Times, clock: Clock, counters: FloatArray, known: KnownClock 
         if settled:
             break
     cells = cells_of(times, clock)
-    aligned = align(cells, n_t, n_p)
-    objection = _counter_objection(counters[cells.trigger, 0], counters[cells.photo, 1], aligned)
-    if objection.any():
+    count, order = counters[cells.trigger, 0], counters[cells.photo, 1]
+    if np.isfinite(count).any():
+        objection = _counter_objection(count, order, align(cells, n_t, n_p))
         cells = replace(cells, log_weight=cells.log_weight + objection)
     # Of photos and triggers that fit each other singly, those that no alignment joins speak against a clock.
     fitting = coincident(cells)
