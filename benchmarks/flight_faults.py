@@ -1,7 +1,8 @@
 """Photo flights with faults, by the hundred: is every trigger there once, and every position right?
 
 `python -m benchmarks.flight_faults --flights 200` writes benchmarks/flight_faults.md. Real sockets, real
-files, real recording; the vehicle's time runs ten times as fast, and nothing is aligned.
+files, real recording; the vehicle's time runs ten times as fast, and nothing is aligned. Rows go to
+benchmarks/flight_faults.jsonl, flight by flight; begun again it goes on.
 """
 
 from __future__ import annotations
@@ -15,10 +16,11 @@ import sys
 import tempfile
 import time
 from collections.abc import Iterable, Sequence
-from concurrent.futures import ProcessPoolExecutor
 from dataclasses import asdict, dataclass
 from pathlib import Path
+from typing import Any
 
+from benchmarks.resumed import read_rows, run_rows
 from calib.align.stream import Finished, Happening, Request, Solve, Solver
 from calib.camera import BrownCamera
 from calib.errors import AlignmentError
@@ -342,24 +344,25 @@ def report(flown: list[Flown]) -> str:
     return "\n".join(lines).rstrip() + "\n"
 
 
+def _row(one: Flown) -> dict[str, Any]:
+    return {**asdict(one), "seconds": round(one.seconds, 1), "sigmas": [round(v, 3) for v in one.sigmas]}
+
+
+def _made(row: dict[str, Any]) -> Flown:
+    return Flown(**{**row, "sigmas": tuple(row["sigmas"])})
+
+
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--flights", type=int, default=200)
-    parser.add_argument("--first", type=int, default=0)
     parser.add_argument("--workers", type=int, default=2, help="more, and late computing is taken for faults")
-    parser.add_argument("--out", type=Path, default=HERE / "flight_faults.md")
+    parser.add_argument("--out", type=Path, default=HERE)
     got = parser.parse_args()
-    flown = []
-    with ProcessPoolExecutor(got.workers) as pool:
-        for one in pool.map(fly, range(got.first, got.first + got.flights)):
-            flown.append(one)
-            fault = "" if one.right else f" FAULT {asdict(one) | {'sigmas': None}}"
-            print(
-                f"{one.seed} {one.flavour}: {one.photos} photos, {one.told} told, {one.sure} sure, "
-                f"{one.placed} placed, {one.seconds:.0f} s{fault}",
-                flush=True,
-            )
-    got.out.write_text(report(flown), encoding="utf-8")
+    raw = got.out / "flight_faults.jsonl"
+    known = {one.seed: one for one in read_rows(raw, _made)}
+    flown = run_rows(got.flights, raw, got.workers, fly, _row, known)
+    (got.out / "flight_faults.md").write_text(report(flown), encoding="utf-8")
+    print(report(flown))
     sys.exit(0 if all(one.right for one in flown) else 1)
 
 

@@ -144,6 +144,26 @@ def test_equal_intervals_are_not_called_sure(resolution_s: float, drop: float) -
         assert wrong == 0
 
 
+def test_a_line_whose_odd_steps_are_sums_of_another_lines_is_not_called_sure() -> None:
+    """The link is cut in the second of two lines that were flown alike to the hundredth of a second.
+
+    The triggers of the first line fit six photos of the second, odd steps among them, and eight of their own.
+    """
+    first_line = [24.26, 27.56, 30.02, 32.48, 34.94, 37.40, 39.86, 43.08]
+    cut_off = [53.12, 58.88, 61.34, 63.80, 68.72, 71.94, 77.30, 88.08]
+    triggers = [Trigger(k, at_s, image_index=k) for k, at_s in enumerate(first_line)]
+    triggers.append(Trigger(16, 98.86, image_index=16))
+    times_s = [*first_line[1:], *cut_off, 98.86]
+    shots = [Shot(f"DSC{18 + k:05d}.JPG", 5e5 + at_s, 0.01, 18 + k) for k, at_s in enumerate(times_s)]
+    truth = {shot.name: k + 1 for k, shot in enumerate(shots)}
+    blind = pair(triggers, shots)
+    assert all(truth[p.shot.name] == p.trigger.key for p in blind.sure_pairs)
+    assert blind.sure_pairs or blind.ambiguous
+    anchored = pair(triggers, shots, anchors=[(3, shots[2].name)])
+    assert 7 <= len(anchored.sure_pairs) <= 8
+    assert all(truth[p.shot.name] == p.trigger.key for p in anchored.sure_pairs)
+
+
 def test_late_photos_join_without_disturbing_sure_pairs() -> None:
     for seed in range(4):
         flight = fly(seed, 150)

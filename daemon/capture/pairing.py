@@ -33,6 +33,8 @@ _BOTH_ALONE = 2
 _FITS, _NOT_TWICE = float(np.log(20.0)), float(np.log(100.0))
 #: An intervalometer keeps its time so well over a whole flight; no aircraft does.
 _ON_TIME_S = 0.08
+#: A clock that pairs as many photos, and to within so many times the jitter, is not dismissed: this likely.
+_AS_SHARP, _NOT_DISMISSED = 1.5, float(np.log(0.05))
 #: So many photos' worth of belief in the loss assumed beforehand.
 _BELIEF = 5.0
 _INDEX_DISAGREES = float(np.log(0.1))
@@ -391,4 +393,19 @@ def _cautious(fits: list[_Fit], n_photos: int) -> list[_Fit]:
         chance2 = float(len(gap) * np.var(gap)) if len(gap) else 0.0
         believed = common**3 / (common**2 + 4 * chance2) if common else 0.0
         out.append((value + common - believed, clock, cells, aligned))
-    return sorted(out, key=lambda one: -one[0])
+    best, *others = sorted(out, key=lambda one: -one[0])
+    return [best, *sorted((_heeded(other, best) for other in others), key=lambda one: -one[0])]
+
+
+def _heeded(other: _Fit, best: _Fit) -> _Fit:
+    """Another clock, its log evidence raised where it explains as many pairs as well as the best does.
+
+    Survey lines are alike to a hundredth of a second: where photos are missing in one and triggers in the
+    next, an odd interval of the one may be the sum of two of the other, which speaks loudly for a clock that
+    is a line off. The right clock then is not likelier, but it pairs more.
+    """
+    value, clock, _, aligned = other
+    likely, most = (float((fit[3].probability > 0.5).sum()) for fit in (other, best))
+    if value > 0 and likely >= most and clock.jitter_s <= _AS_SHARP * best[1].jitter_s:
+        value = max(value, best[0] + _NOT_DISMISSED)
+    return value, clock, other[2], aligned
