@@ -22,7 +22,7 @@ MIN_JITTER_S, START_JITTER_S, MAX_JITTER_S = 0.01, 0.15, 0.4
 _LATE_S = 0.1
 _MAX_SCREENED, _MAX_KEPT, _KEEP_NATS = 60, 9, 60.0
 #: Differences counted in the offset search at most: thinner triggers beyond.
-_MAX_DIFFERENCES = 2_000_000
+_MAX_DIFFERENCES = 500_000
 
 
 @dataclass(frozen=True)
