@@ -307,6 +307,8 @@ def _number(at: Stamp, began_s: float, truth: Sequence[PhotoTaken]) -> int | Non
 def report(flown: list[Flown]) -> str:
     wrong = [one for one in flown if not one.right]
     sigmas = sorted(value for one in flown for value in one.sigmas)
+    blind = [one for one in flown if not one.sure]
+    most = max((100 * one.told / max(one.photos, 1) for one in blind), default=0.0)
     within = [100 * sum(v <= limit for v in sigmas) / max(len(sigmas), 1) for limit in (1, 2, 3)]
     lines = [
         "# Photo flights with faults",
@@ -337,7 +339,8 @@ def report(flown: list[Flown]) -> str:
         "",
         "A trigger whose every message was lost is named as lost; it is not counted as recorded. Positions "
         f"within 1, 2 and 3 of their stated sigmas (the worse of ground and height): {within[0]:.1f}, "
-        f"{within[1]:.1f} and {within[2]:.2f} %.",
+        f"{within[1]:.1f} and {within[2]:.2f} %. Flights in which nothing is called sure, so that nothing is "
+        f"placed: {len(blind)}; of their triggers at most {most:.0f} % were told.",
         "",
         *(f"* seed {one.seed}: {json.dumps(asdict(one) | {'sigmas': None})}" for one in wrong),
     ]
