@@ -417,6 +417,8 @@ def main(arguments: list[str] | None = None) -> int:
     if not 320 <= chosen.width <= 4000:
         parser.error("--width must be from 320 to 4000")
     size = (chosen.width // 4 * 4, chosen.width // 4 * 3)
+    # Started in the background it would ignore Ctrl-C, and so would the camera that is ended by it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     console = Console()
     out: Path = chosen.out.absolute()
     prepared(out)
