@@ -13,7 +13,7 @@ import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
 
-from calib.align.adjust import rotation_exp
+from calib.align.rotations import rotation_exp
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.errors import AlignmentError
 from calib.solution import IntArray

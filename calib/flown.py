@@ -6,7 +6,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib.align.adjust import ray_angle_deg
+from calib.align.rays import ray_angle_deg
 from calib.align.selfcal import LEAST_ANGLE_DEG, Calibrated
 from calib.camera import FloatArray
 from calib.network_design import CameraNetwork, Known

@@ -12,7 +12,8 @@ import shapely
 from scipy.spatial import cKDTree
 from shapely import Polygon
 
-from calib.align.adjust import ray_angle_deg, rotation_exp
+from calib.align.rays import ray_angle_deg
+from calib.align.rotations import rotation_exp
 from calib.align.selfcal import BASIC, LEAST_ANGLE_DEG, lens_priors, mask
 from calib.brownfit import fit_brown
 from calib.camera import BrownCamera, FloatArray

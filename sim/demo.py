@@ -202,7 +202,7 @@ class Demo:
                     process.kill()
 
     def wait_for_camera(self) -> None:
-        until = time.monotonic() + 120
+        until = time.monotonic() + LONGEST_S / 6
         while "ready" not in (said := (self.out / "camera.log").read_text(encoding="utf-8")):
             if time.monotonic() > until:
                 raise FieldcalError(f"The simulated camera is not ready: {said.strip()[-300:]}")
@@ -417,6 +417,8 @@ def main(arguments: list[str] | None = None) -> int:
     if not 320 <= chosen.width <= 4000:
         parser.error("--width must be from 320 to 4000")
     size = (chosen.width // 4 * 4, chosen.width // 4 * 3)
+    # Started in the background it would ignore Ctrl-C, and so would the camera that is ended by it.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     console = Console()
     out: Path = chosen.out.absolute()
     prepared(out)

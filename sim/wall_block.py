@@ -7,9 +7,10 @@ from pathlib import Path
 
 import numpy as np
 
-from calib.align.adjust import Priors, State, rotation_exp
+from calib.align.adjust import Priors, State
 from calib.align.child import Outcome, measured
 from calib.align.flatness import measure_flatness
+from calib.align.rotations import rotation_exp
 from calib.align.selfcal import calibrate, with_lens_priors
 from calib.align.tracks import select
 from calib.camera import BrownCamera, FloatArray

@@ -11,6 +11,7 @@ os.environ.setdefault("OMP_NUM_THREADS", "1")
 # pymavlink reads it on its first import and again later: said by one test's helper alone, the two differ.
 os.environ.setdefault("MAVLINK20", "1")
 
+import signal
 from pathlib import Path
 
 import pytest
@@ -18,6 +19,9 @@ import pytest
 from calib.photos.photo import Photo
 from calib.photos.read import read_photo
 from sim.survey import SurveyTruth, write_survey
+
+# What a shell starts in the background ignores Ctrl-C, and so would the programs that tests interrupt.
+signal.signal(signal.SIGINT, signal.default_int_handler)
 
 #: Files that take longest, longest first: workers that get these last leave the others idle.
 LONGEST = (

@@ -21,19 +21,12 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from calib.align.adjust import (
-    Adjustment,
-    BoolArray,
-    State,
-    Topology,
-    ray_angle_deg,
-    rotation_exp,
-    rotation_log,
-    similarity_tangent,
-    triangulate,
-)
+from calib.align.adjust import Adjustment, BoolArray, State
 from calib.align.dome import aligned_difference_m
 from calib.align.grow import lens_mask
+from calib.align.normal import Topology
+from calib.align.rays import ray_angle_deg, triangulate
+from calib.align.rotations import rotation_exp, rotation_log, similarity_tangent
 from calib.camera import BrownCamera, FloatArray
 from calib.field import LENS_NAMES, Lens
 from calib.solution import Observations

@@ -10,8 +10,9 @@ import pytest
 from align_blocks import INDEX, block_adjustment, loose_priors
 from ceres_peer import MODELS, reconstruction, solve_with_ceres
 
-from calib.align.adjust import State, rotation_exp
+from calib.align.adjust import State
 from calib.align.grow import lens_mask
+from calib.align.rotations import rotation_exp
 from calib.camera import BrownCamera, FloatArray
 from calib.field import Lens
 from sim.flights import phantom3

@@ -10,8 +10,8 @@ import pytest
 from align_blocks import small
 
 from calib import frames
-from calib.align.adjust import rotation_exp
 from calib.align.georeference import DEFAULT_SIGMA_M, LEAST_SIGMA_M, Placement, Tags, place, read_tags
+from calib.align.rotations import rotation_exp
 from calib.camera import FloatArray
 from calib.photos.photo import CameraIdentity, Photo, Position
 from sim.flights import grid, phantom3

@@ -177,13 +177,14 @@ def test_sim_vehicle(tmp_path: Path) -> None:
         f"127.0.0.1:{port}",
     ]
     with subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True) as process:
-        assert process.stdout is not None
-        assert "simulated px4 vehicle" in process.stdout.readline()
-        assert run(["doctor", "--link", f"udp://127.0.0.1:{port}", "--wait", "60", "--seconds", "3"]) in (
-            0,
-            2,
-        )
-        process.send_signal(signal.SIGINT)
-        assert process.wait(30) == 130
+        try:
+            assert process.stdout is not None
+            assert "simulated px4 vehicle" in process.stdout.readline()
+            said = run(["doctor", "--link", f"udp://127.0.0.1:{port}", "--wait", "60", "--seconds", "3"])
+            assert said in (0, 2)
+            process.send_signal(signal.SIGINT)
+            assert process.wait(30) == 130
+        finally:
+            process.kill()
     assert run(["sim", "vehicle", "--to", "x"]) == 2
     assert run(["sim", "vehicle", "--home", "91,8"]) == 2

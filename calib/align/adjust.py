@@ -17,9 +17,9 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 from numpy.typing import NDArray
-from scipy.sparse import bsr_array
-from scipy.spatial.transform import Rotation
 
+from calib.align.normal import Factored, Linear, Step, Topology, factored, reduced
+from calib.align.rotations import rotation_exp, rotation_log, similarity_tangent
 from calib.camera import FloatArray
 from calib.field import Lens
 from calib.solution import Observations
@@ -92,179 +92,6 @@ class Adjusted:
             inverse = scipy.linalg.inv(self.lens_normal * np.outer(scale, scale))
             full[np.ix_(self.free, self.free)] = inverse * np.outer(scale, scale) * self.sigma0**2
         return full
-
-
-def rotation_exp(omega: FloatArray) -> FloatArray:
-    """Rotation vectors (k, 3) -> matrices (k, 3, 3) (Rodrigues)."""
-    angle = np.linalg.norm(omega, axis=1)
-    safe = np.where(angle < 1e-12, 1.0, angle)
-    x, y, z = (omega / safe[:, None]).T
-    cross = np.zeros((len(omega), 3, 3))
-    cross[:, 0, 1], cross[:, 0, 2] = -z, y
-    cross[:, 1, 0], cross[:, 1, 2] = z, -x
-    cross[:, 2, 0], cross[:, 2, 1] = -y, x
-    s, c = np.sin(angle)[:, None, None], np.cos(angle)[:, None, None]
-    turned: FloatArray = np.eye(3) + s * cross + (1 - c) * (cross @ cross)
-    return turned
-
-
-def rotation_log(rotations: FloatArray) -> FloatArray:
-    """Matrices (k, 3, 3) -> rotation vectors (k, 3)."""
-    vectors: FloatArray = Rotation.from_matrix(rotations).as_rotvec()
-    return vectors
-
-
-def similarity_tangent(points: FloatArray) -> FloatArray:
-    """d point / d (shift, rotation vector, log scale) of a similarity at points (m, 3), as (m, 3, 7)."""
-    design = np.zeros((len(points), 3, 7))
-    x, y, z = points.T
-    design[:, [0, 1, 2], [0, 1, 2]] = 1
-    design[:, 1, 3], design[:, 2, 3] = -z, y
-    design[:, 0, 4], design[:, 2, 4] = z, -x
-    design[:, 0, 5], design[:, 1, 5] = -y, x
-    design[:, :, 6] = points
-    return design
-
-
-class Topology:
-    """Index arrays of a fixed set of observations, built once and used in every iteration."""
-
-    def __init__(self, obs: Observations, n_photos: int, n_points: int) -> None:
-        if len(obs) == 0 or np.any(np.diff(obs.point) < 0):
-            raise ValueError("observations must be there and sorted by point")
-        self.n_photos, self.n_points = n_photos, n_points
-        counts = np.bincount(obs.point, minlength=n_points)
-        if counts.min() < 2:
-            raise ValueError("every point needs at least two observations")
-        self.point_start = np.concatenate([[0], np.cumsum(counts)[:-1]])
-        self.by_photo = np.argsort(obs.photo, kind="stable")
-        photo_counts = np.bincount(obs.photo, minlength=n_photos)
-        if photo_counts.min() < 1:
-            raise ValueError("every photo needs observations")
-        self.photo_start = np.concatenate([[0], np.cumsum(photo_counts)[:-1]])
-        self.photo_ends = np.concatenate([self.photo_start, [len(obs)]])
-        self.point_ends = np.concatenate([self.point_start, [len(obs)]])
-        self.point_of_photo = obs.point[self.by_photo]
-        # Dense products are faster as long as the block is small; the pairs are not needed then.
-        pairs = float(np.sum(counts.astype(float) * (counts + 1) / 2))
-        self.dense = (6.0 * n_photos) ** 2 * 3 * n_points / 4e10 < pairs * 2.5e-7
-        if self.dense:
-            return
-        # All ordered pairs of observations of one point, a <= b, grouped by their photo pair.
-        first, second = [], []
-        for length in np.unique(counts):
-            starts = self.point_start[counts == length]
-            a, b = np.triu_indices(int(length))
-            first.append((starts[:, None] + a).ravel())
-            second.append((starts[:, None] + b).ravel())
-        a, b = np.concatenate(first), np.concatenate(second)
-        swap = obs.photo[a] > obs.photo[b]
-        a, b = np.where(swap, b, a), np.where(swap, a, b)
-        key = obs.photo[a] * n_photos + obs.photo[b]
-        order = np.argsort(key, kind="stable")
-        self.pair_a, self.pair_b, key = a[order], b[order], key[order]
-        self.pair_key, self.pair_start = np.unique(key, return_index=True)
-
-    def photos_by_points(self, blocks: FloatArray) -> bsr_array:
-        """Sparse (q k, 3 m) from one (q, 3) block an observation."""
-        return bsr_array(
-            (blocks[self.by_photo], self.point_of_photo, self.photo_ends),
-            shape=(blocks.shape[1] * self.n_photos, 3 * self.n_points),
-        )
-
-    def photo_sums(self, left: FloatArray, right: FloatArray) -> FloatArray:
-        """Sum over each photo of left^T right, (k, a, p), from (n, 2, a) and (n, 2, p)."""
-        n, _, a = left.shape
-        blocks = np.ascontiguousarray(left.transpose(0, 2, 1)[self.by_photo])
-        sparse = bsr_array((blocks, self.by_photo, self.photo_ends), shape=(a * self.n_photos, 2 * n))
-        summed: FloatArray = sparse @ right.reshape(2 * n, -1)
-        return summed.reshape(self.n_photos, a, -1)
-
-    def point_sums(self, left: FloatArray, right: FloatArray) -> FloatArray:
-        """Sum over each point of left^T right, (m, a, p), from (n, 2, a) and (n, 2, p)."""
-        n, _, a = left.shape
-        blocks = np.ascontiguousarray(left.transpose(0, 2, 1))
-        sparse = bsr_array((blocks, np.arange(n), self.point_ends), shape=(a * self.n_points, 2 * n))
-        summed: FloatArray = sparse @ right.reshape(2 * n, -1)
-        return summed.reshape(self.n_points, a, -1)
-
-    def pose_products(self, b_c: FloatArray, sparse: bsr_array) -> FloatArray:
-        """B_c B_c^T over all points, (q k, q k)."""
-        k = self.n_photos
-        if self.dense:
-            full = sparse.toarray()
-            product: FloatArray = full @ full.T
-            return product
-        blocks = np.add.reduceat(
-            b_c[self.pair_a] @ b_c[self.pair_b].transpose(0, 2, 1), self.pair_start, axis=0
-        )
-        q = b_c.shape[1]
-        product = np.zeros((q * k, q * k))
-        view = product.reshape(k, q, k, q).transpose(0, 2, 1, 3)
-        rows, cols = self.pair_key // k, self.pair_key % k
-        view[rows, cols] = blocks
-        off = rows != cols
-        view[cols[off], rows[off]] = blocks[off].transpose(0, 2, 1)
-        return product
-
-
-@dataclass(frozen=True)
-class _Linear:
-    """Normal equations before damping. c: poses (k, q), l: lens (p), x: points."""
-
-    u_cc: FloatArray  # (k, q, q)
-    u_cl: FloatArray  # (k, q, p)
-    u_ll: FloatArray  # (p, p)
-    v: FloatArray  # (m, 3, 3)
-    w_cx: FloatArray  # (n, q, 3)
-    w_xl: FloatArray  # (m, 3, p)
-    g_c: FloatArray  # (k, q)
-    g_l: FloatArray  # (p,)
-    g_x: FloatArray  # (m, 3)
-    # Weighted derivatives of the measurements, for right sides other than the residuals'.
-    by_pose: FloatArray  # (n, 2, q)
-    by_lens: FloatArray  # (n, 2, p)
-    by_point: FloatArray  # (n, 2, 3)
-
-
-@dataclass(frozen=True)
-class _Step:
-    """A change of all unknowns: poses (k, q), lens (p,), points (m, 3)."""
-
-    pose: FloatArray
-    lens: FloatArray
-    point: FloatArray
-
-    def scaled(self, factor: float) -> _Step:
-        return _Step(factor * self.pose, factor * self.lens, factor * self.point)
-
-    def plus(self, other: _Step, factor: float) -> _Step:
-        return _Step(
-            self.pose + factor * other.pose,
-            self.lens + factor * other.lens,
-            self.point + factor * other.point,
-        )
-
-
-@dataclass(frozen=True)
-class _Factored:
-    """Damped normal equations with the points eliminated, ready for right sides."""
-
-    factor: FloatArray  # Cholesky, lower, of the reduced matrix scaled to a unit diagonal
-    scale: FloatArray
-    sparse: bsr_array  # B_c
-    b_l: FloatArray  # (m, 3, p)
-    inverse_root: FloatArray  # (m, 3, 3)
-
-    def solve(self, g_c: FloatArray, g_l: FloatArray, g_x: FloatArray) -> _Step:
-        k, q = g_c.shape
-        h = (self.inverse_root @ g_x[:, :, None])[:, :, 0]
-        flat = self.b_l.reshape(3 * len(g_x), len(g_l))
-        right = np.concatenate([g_c.ravel() - self.sparse @ h.ravel(), g_l - flat.T @ h.ravel()])
-        delta = scipy.linalg.cho_solve((self.factor, True), right * self.scale) * self.scale
-        pose, lens = delta[: q * k].reshape(k, q), delta[q * k :]
-        back = h - (self.sparse.T @ pose.ravel()).reshape(-1, 3) - self.b_l @ lens
-        return _Step(pose, lens, (self.inverse_root.transpose(0, 2, 1) @ back[:, :, None])[:, :, 0])
 
 
 class Adjustment:
@@ -382,7 +209,7 @@ class Adjustment:
 
     # -- normal equations ----------------------------------------------------------------------
 
-    def _linearise(self, state: State, free: BoolArray, weights: tuple[FloatArray, FloatArray]) -> _Linear:
+    def _linearise(self, state: State, free: BoolArray, weights: tuple[FloatArray, FloatArray]) -> Linear:
         obs, top = self.obs, self.topology
         in_cam, rays = self._rays(state)
         pixels, by_ray, by_lens = state.lens.derivatives(rays)
@@ -441,60 +268,17 @@ class Adjustment:
         u_ll[np.diag_indices(p)] += inv_lens**2
         mean = np.where(known, self.priors.lens_mean, state.lens.vector)
         g_l += ((mean - state.lens.vector)[free]) * inv_lens**2
-        return _Linear(u_cc, u_cl, u_ll, v, w_cx, w_xl, g_c, g_l, g_x, by_pose, by_lens, by_point)
-
-    def _reduce(self, lin: _Linear, damping: float) -> tuple[FloatArray, bsr_array, FloatArray, FloatArray]:
-        """Eliminate the points.
-
-        Returns the reduced matrix (q k + p square), B_c (sparse) and B_l (m, 3, p), and the inverse
-        Cholesky factors of V (m, 3, 3), from which points are solved back.
-        """
-        obs, top = self.obs, self.topology
-        k, p = top.n_photos, len(lin.g_l)
-        diagonal = np.einsum("mii->mi", lin.v)
-        axes = np.arange(3)
-        v = lin.v.copy()
-        # The tiny floor keeps points with parallel rays solvable; it is far below any real curvature.
-        v[:, axes, axes] += damping * diagonal + 1e-12 * diagonal.max(axis=1, keepdims=True) + 1e-300
-        inverse_root = np.linalg.inv(np.linalg.cholesky(v))  # L^-1 with V = L L^T
-        b_c = lin.w_cx @ inverse_root.transpose(0, 2, 1)[obs.point]
-        b_l = inverse_root @ lin.w_xl
-
-        sparse = top.photos_by_points(b_c)
-        q = self._q
-        size = q * k + p
-        reduced = np.zeros((size, size))
-        reduced[: q * k, : q * k] = -top.pose_products(b_c, sparse)
-        blocks = reduced[: q * k, : q * k].reshape(k, q, k, q).transpose(0, 2, 1, 3)
-        u_cc = lin.u_cc.copy()
-        axes = np.arange(q)
-        u_cc[:, axes, axes] *= 1 + damping
-        blocks[np.arange(k), np.arange(k)] += u_cc
-        flat = b_l.reshape(3 * top.n_points, p)
-        cross = lin.u_cl.reshape(q * k, p) - sparse @ flat
-        reduced[: q * k, q * k :] = cross
-        reduced[q * k :, : q * k] = cross.T
-        u_ll = lin.u_ll.copy()
-        u_ll[np.diag_indices(p)] *= 1 + damping
-        reduced[q * k :, q * k :] = u_ll - flat.T @ flat
-        return reduced, sparse, b_l, inverse_root
-
-    def _factored(self, lin: _Linear, damping: float) -> _Factored:
-        """Raises numpy's LinAlgError where the damping is too small for the rank."""
-        reduced, sparse, b_l, inverse_root = self._reduce(lin, damping)
-        scale = 1 / np.sqrt(np.maximum(np.diag(reduced), 1e-300))
-        factor, _ = scipy.linalg.cho_factor(reduced * np.outer(scale, scale), lower=True, overwrite_a=True)
-        return _Factored(factor, scale, sparse, b_l, inverse_root)
+        return Linear(u_cc, u_cl, u_ll, v, w_cx, w_xl, g_c, g_l, g_x, by_pose, by_lens, by_point)
 
     def _acceleration(
         self,
         state: State,
         free: BoolArray,
         weights: tuple[FloatArray, FloatArray],
-        lin: _Linear,
-        factored: _Factored,
-        step: _Step,
-    ) -> _Step:
+        lin: Linear,
+        solver: Factored,
+        step: Step,
+    ) -> Step:
         """Second-order part of a step: what the residuals' curvature along it calls for.
 
         A nadir block's valley is long and bent: straight steps leave it at once. Geodesic
@@ -518,10 +302,10 @@ class Adjustment:
         g_c[has, 3:6] += weights[1][has, None] * position[has] / self.priors.centre_sigma_m[has]
         attitude = curvature(self._rotation_terms)
         g_c[turned, :3] += attitude[turned] / self.priors.rotation_sigma_rad[turned, None]
-        return factored.solve(g_c, g_l, g_x)
+        return solver.solve(g_c, g_l, g_x)
 
     @staticmethod
-    def _apply(state: State, free: BoolArray, step: _Step) -> State:
+    def _apply(state: State, free: BoolArray, step: Step) -> State:
         """Add a step, its seven-parameter part as a finite transformation.
 
         The block as a whole is held only by its geotags. Points that move on tangents while the
@@ -621,13 +405,13 @@ class Adjustment:
             if tick is not None:
                 tick()
             try:
-                factored = self._factored(lin, damping)
+                solver = factored(self.topology, lin, damping)
             except np.linalg.LinAlgError:
                 damping, growth = max(damping, 1e-9) * growth, growth * 2
                 if damping > 1e8:
                     return state, iterations, False, damping
                 continue
-            step = factored.solve(lin.g_c, lin.g_l, lin.g_x)
+            step = solver.solve(lin.g_c, lin.g_l, lin.g_x)
             predicted = float(
                 np.sum(lin.g_c * step.pose) + lin.g_l @ step.lens + np.sum(lin.g_x * step.point)
             )
@@ -636,7 +420,7 @@ class Adjustment:
             trial = self._apply(state, free, step)
             trial_cost = self.cost(trial, weights)
             if cost - trial_cost < 0.7 * predicted:
-                bent = self._acceleration(state, free, weights, lin, factored, step)
+                bent = self._acceleration(state, free, weights, lin, solver, step)
                 other = self._apply(state, free, step.plus(bent, 0.5))
                 other_cost = self.cost(other, weights)
                 if other_cost < trial_cost:
@@ -680,9 +464,9 @@ class Adjustment:
         weights = (adjusted.weights, adjusted.position_weights)
         lin = self._linearise(adjusted.state, adjusted.free, weights)
         # Next to no damping: weakly held deformations of the block must stay weak.
-        factored = self._factored(lin, 1e-13)
+        solver = factored(self.topology, lin, 1e-13)
         columns = np.moveaxis(gradients, -1, 0)
-        solved = [factored.solve(np.zeros_like(lin.g_c), np.zeros_like(lin.g_l), g).point for g in columns]
+        solved = [solver.solve(np.zeros_like(lin.g_c), np.zeros_like(lin.g_l), g).point for g in columns]
         covariance = np.einsum("amj,bmj->ab", columns, np.array(solved))
         symmetric: FloatArray = (covariance + covariance.T) / 2 * adjusted.sigma0**2
         return symmetric
@@ -692,16 +476,17 @@ class Adjustment:
         state: State,
         free: BoolArray,
         weights: tuple[FloatArray, FloatArray],
-        lin: _Linear,
+        lin: Linear,
         iterations: int,
         converged: bool,
         response: bool,
     ) -> Adjusted:
         obs, top = self.obs, self.topology
-        reduced, sparse, b_l, inverse_root = self._reduce(lin, 0.0)
+        rest = reduced(top, lin, 0.0)
+        whole = rest.matrix
         k, p = top.n_photos, int(free.sum())
         q = self._q
-        cc, cl, ll = reduced[: q * k, : q * k], reduced[: q * k, q * k :], reduced[q * k :, q * k :]
+        cc, cl, ll = whole[: q * k, : q * k], whole[: q * k, q * k :], whole[q * k :, q * k :]
         scale = 1 / np.sqrt(np.maximum(np.diag(cc), 1e-300))
         factor = scipy.linalg.cho_factor(cc * np.outer(scale, scale) + 1e-14 * np.eye(q * k), lower=True)
         pose_by_lens = -scipy.linalg.cho_solve(factor, cl * scale[:, None]) * scale[:, None]
@@ -709,8 +494,8 @@ class Adjustment:
         normal = (normal + normal.T) / 2
         point_response = None
         if response:
-            back = -(sparse.T @ pose_by_lens).reshape(-1, 3, p) - b_l
-            point_response = inverse_root.transpose(0, 2, 1) @ back
+            back = -(rest.sparse.T @ pose_by_lens).reshape(-1, 3, p) - rest.b_l
+            point_response = rest.inverse_root.transpose(0, 2, 1) @ back
         residual = self.residuals_px(state)
         redundancy = (
             2 * len(obs)
@@ -740,48 +525,3 @@ class Adjustment:
             converged=converged,
             point_response=point_response,
         )
-
-
-def ray_angle_deg(centres_m: FloatArray, points_m: FloatArray, obs: Observations) -> FloatArray:
-    """Twice the largest angle between a point's rays and their mean direction, (m,) degrees.
-
-    ``obs`` need not be sorted; points without observations get 0.
-    """
-    direction = points_m[obs.point] - centres_m[obs.photo]
-    direction = direction / np.maximum(np.linalg.norm(direction, axis=1, keepdims=True), 1e-12)
-    direction = np.where(np.isfinite(direction), direction, 0.0)
-    m = len(points_m)
-    mean = np.stack([np.bincount(obs.point, direction[:, i], m) for i in range(3)], axis=1).astype(float)
-    mean = mean / np.maximum(np.linalg.norm(mean, axis=1, keepdims=True), 1e-12)
-    cosine = np.clip(np.sum(direction * mean[obs.point], axis=1), -1, 1)
-    angle = np.zeros(m)
-    np.maximum.at(angle, obs.point, np.arccos(cosine))
-    doubled: FloatArray = np.degrees(2 * angle)
-    return doubled
-
-
-def triangulate(
-    lens: Lens, rotations: FloatArray, centres_m: FloatArray, obs: Observations, n_points: int
-) -> FloatArray:
-    """Points (m, 3) nearest to their rays (linear least squares); NaN where rays are parallel."""
-    rays = lens.unproject(obs.pixels)
-    direction = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
-    direction /= np.linalg.norm(direction, axis=1, keepdims=True)
-    world = np.einsum("nji,nj->ni", rotations[obs.photo], direction)
-    bad = ~np.isfinite(world).all(axis=1)
-    world[bad] = 0.0
-    across = np.eye(3) - world[:, :, None] * world[:, None, :]
-    across[bad] = 0.0
-    moment = np.einsum("nij,nj->ni", across, centres_m[obs.photo])
-    matrix = np.zeros((n_points, 3, 3))
-    right = np.zeros((n_points, 3))
-    for i in range(3):
-        right[:, i] = np.bincount(obs.point, moment[:, i], n_points)
-        for j in range(3):
-            matrix[:, i, j] = np.bincount(obs.point, across[:, i, j], n_points)
-    values = np.linalg.eigvalsh(matrix)
-    weak = values[:, 0] < 1e-7 * np.maximum(values[:, 2], 1e-12)
-    matrix[weak] = np.eye(3)
-    points = np.asarray(np.linalg.solve(matrix, right[:, :, None])[:, :, 0], float)
-    points[weak] = np.nan
-    return points

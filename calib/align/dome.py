@@ -6,7 +6,8 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calib.align.adjust import BoolArray, similarity_tangent
+from calib.align.adjust import BoolArray
+from calib.align.rotations import similarity_tangent
 from calib.align.selfcal import Calibrated, hold
 from calib.camera import FloatArray
 from calib.field import LENS_NAMES, Lens

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.special import chdtrc
 
-from calib.align.adjust import similarity_tangent
+from calib.align.rotations import similarity_tangent
 from calib.align.selfcal import Calibrated
 from calib.camera import FloatArray
 from calib.errors import AlignmentError

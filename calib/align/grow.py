@@ -11,8 +11,9 @@ from dataclasses import dataclass
 import cv2
 import numpy as np
 
-from calib.align.adjust import Adjustment, Priors, State, ray_angle_deg, triangulate
+from calib.align.adjust import Adjustment, Priors, State
 from calib.align.matching import PairMatches
+from calib.align.rays import ray_angle_deg, triangulate
 from calib.align.tracks import select
 from calib.camera import FloatArray
 from calib.field import LENS_NAMES, Lens

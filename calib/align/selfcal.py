@@ -17,10 +17,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 from scipy.special import chdtrc
 
-from calib.align.adjust import Adjusted, Adjustment, Priors, State, ray_angle_deg
+from calib.align.adjust import Adjusted, Adjustment, Priors, State
 from calib.align.chance import Lengths, beyond_chance
 from calib.align.correlation import correlation_factor
 from calib.align.georeference import DEFAULT_SIGMA_M
+from calib.align.rays import ray_angle_deg
 from calib.align.tracks import select
 from calib.camera import BROWN_NAMES, FloatArray
 from calib.errors import AlignmentError

@@ -11,7 +11,7 @@ from typing import Any
 
 import numpy as np
 
-from calib.align.adjust import rotation_exp
+from calib.align.rotations import rotation_exp
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.references import bundled_references
 from sim.papers.published import SENN
