@@ -11,6 +11,7 @@ from scipy.special import chdtrc
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.control_adjust import BoolArray, Fit, MarkSet, Pose, adjust, intersected, resected, residuals_px
 from calib.control_files import ControlPoint, Mark
+from calib.control_spread import Spread, model_spread
 from calib.errors import AlignmentError, InputError
 from calib.mount import Mounted, Poses
 from calib.photos.photo import Photo
@@ -57,7 +58,7 @@ class ControlCalibration:
 
     ``used`` (n,): marks that took part or, on check points, were not found to be blunders.
     ``errors_m`` (t, 3): points from their marks minus as surveyed, NaN where fewer than two marks.
-    ``blunders``: one sentence each.
+    ``blunders``: one sentence each. ``spread``: what other models of the lens would change.
     """
 
     photos: tuple[Photo, ...]
@@ -69,7 +70,16 @@ class ControlCalibration:
     errors_m: FloatArray
     blunders: tuple[str, ...]
     notes: tuple[str, ...]
+    spread: Spread
     mounted: Mounted | None = None
+
+    @property
+    def covariance(self) -> FloatArray:
+        """(11, 11) over ``BROWN_NAMES``: the formal one and what the choice of the model leaves open.
+
+        Parameters that were left out have variances too: they may be there.
+        """
+        return np.asarray(self.fit.covariance + self.spread.covariance)
 
     @property
     def origin_m(self) -> FloatArray:
@@ -252,7 +262,18 @@ def calibrate_control(
     good = used | (~on_control & _small(marks, fit, used))
     blunders = name_blunders(marks, fit, good, photos, points)
     errors = intersected(marks, fit.block, good) - marks.points_m
-    return ControlCalibration(photos, points, marks, fit, tuple(steps), good, errors, blunders, notes)
+    every = tuple(name for _, names in STEPS for name in names)
+    spread = model_spread(marks, fit, free, every, used & on_control)
+    if spread.beyond_brown:
+        notes = (*notes, _beyond_brown(spread))
+    return ControlCalibration(photos, points, marks, fit, tuple(steps), good, errors, blunders, notes, spread)
+
+
+def _beyond_brown(spread: Spread) -> str:
+    return (
+        f"The lens departs from Brown's model by some {spread.field_rms_px:.2f} px (rms at the marks, smooth "
+        "over the picture); the sigmas allow for what that does to the parameters."
+    )
 
 
 def _require_agreement(marks: MarkSet, start: BrownCamera, used: BoolArray, on_control: BoolArray) -> None:

@@ -206,7 +206,7 @@ def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray)
         AlignmentError: fewer measurements than unknowns.
     """
     columns = np.array([name in free for name in BROWN_NAMES])
-    loose = np.flatnonzero(marks.control & (marks.sigmas_m > 0).all(axis=1))
+    loose = _loose(marks)
     k, p = len(start.rotations), int(columns.sum())
     size = 6 * k + p + 3 * len(loose)
     rows = 2 * int(used.sum()) + 3 * len(loose)
@@ -215,7 +215,7 @@ def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray)
             f"{int(used.sum())} marks are too few for {k} photos and {p} lens parameters: mark more points."
         )
     block, damping = start, 1e-3
-    right, design = _linearised(marks, block, columns, loose, used)
+    right, design = linearised(marks, block, columns, used)
     cost = float(right @ right)
     for _ in range(200):
         scale = np.maximum(np.linalg.norm(design, axis=0), 1e-300)
@@ -223,7 +223,7 @@ def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray)
         normal, gradient = scaled.T @ scaled, scaled.T @ right
         step = scipy.linalg.solve(normal + damping * np.eye(size), gradient, assume_a="pos")
         trial = _moved(block, step / scale, columns, loose)
-        new_right, new_design = _linearised(marks, trial, columns, loose, used)
+        new_right, new_design = linearised(marks, trial, columns, used)
         new_cost = float(new_right @ new_right)
         if not new_cost < cost:
             damping *= 10
@@ -242,7 +242,7 @@ def adjust(marks: MarkSet, start: Block, free: tuple[str, ...], used: BoolArray)
     lens = slice(6 * k, 6 * k + p)
     covariance[np.ix_(columns, columns)] = inverse[lens, lens] * cost / freedom
     every = np.ones(len(marks), bool)
-    rows_of = _linearised(marks, block, columns, loose, every)[1][: 2 * len(marks)].reshape(len(marks), 2, -1)
+    rows_of = linearised(marks, block, columns, every)[1][: 2 * len(marks)].reshape(len(marks), 2, -1)
     carried = (rows_of.reshape(2 * len(marks), -1) @ inverse).reshape(rows_of.shape)
     hat = carried @ rows_of.transpose(0, 2, 1)
     cofactors = np.eye(2) + np.where(used, -1.0, 1.0)[:, None, None] * hat
@@ -279,10 +279,19 @@ def mark_derivatives(marks: MarkSet, block: Block) -> tuple[FloatArray, FloatArr
     return pixels, by_pose, by_point, by_lens
 
 
-def _linearised(
-    marks: MarkSet, block: Block, columns: BoolArray, loose: IntArray, used: BoolArray
+def _loose(marks: MarkSet) -> IntArray:
+    """Control points that are not held."""
+    return np.flatnonzero(marks.control & (marks.sigmas_m > 0).all(axis=1))
+
+
+def linearised(
+    marks: MarkSet, block: Block, columns: BoolArray, used: BoolArray
 ) -> tuple[FloatArray, FloatArray]:
-    """Weighted residuals (r,) and design (r, 6 k + p + 3 loose): marks first, then the points' priors."""
+    """Weighted residuals (r,) and design (r, 6 k + p + 3 loose): ``used`` marks first, then points' priors.
+
+    ``columns`` (11,): which lens parameters are free. Unknowns: poses, lens, points that are not held.
+    """
+    loose = _loose(marks)
     k, p = len(block.rotations), int(columns.sum())
     index = np.flatnonzero(used)
     photo, point, n = marks.photo[index], marks.point[index], len(index)

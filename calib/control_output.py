@@ -111,17 +111,15 @@ class CampaignReport(JsonModel):
 
 
 def control_report(made: ControlCalibration, saved_as: str | None = None) -> ControlReport:
-    covariance = made.fit.covariance
-    keys, matrix = correlations(covariance)
+    keys, matrix = correlations(made.fit.covariance)
+    sigmas = dict(zip(BROWN_KEYS, np.sqrt(np.diag(made.covariance)).tolist(), strict=True))
     return ControlReport(
         schema="fieldcal.control/1",
         camera=camera_model(made.photos[0].camera),
         photos=[printable(photo.path.name) for photo in made.photos],
         sigma0=finite(made.fit.sigma0),
         parameters=dict(zip(BROWN_KEYS, map(float, made.camera.vector), strict=True)),
-        sigma={
-            key: float(np.sqrt(covariance[i, i])) for i, key in enumerate(BROWN_KEYS) if covariance[i, i] > 0
-        },
+        sigma={key: sigmas[key] for key in keys},
         correlation={a: {b: float(matrix[i, j]) for j, b in enumerate(keys)} for i, a in enumerate(keys)},
         steps=[
             StepModel(
@@ -227,7 +225,7 @@ def control_reference(made: ControlCalibration, name: str, temperature_c: float 
         name,
         made.photos[0].camera,
         made.camera,
-        made.fit.covariance,
+        made.covariance,
         calibration_date(made.photos),
         "fieldcal calibrate control: self-calibration on control points",
         summary(made),
@@ -249,7 +247,7 @@ def summary(made: ControlCalibration) -> str:
 
 def render_control(made: ControlCalibration, saved_as: str | None = None) -> str:
     """The report as HTML text, in the look of the check's."""
-    sigma = 100 * float(np.sqrt(made.fit.covariance[0, 0])) / made.camera.f_px
+    sigma = 100 * float(np.sqrt(made.covariance[0, 0])) / made.camera.f_px
     fine = not made.blunders
     look = "trust" if fine else "cannot_tell"
     head = (
@@ -362,7 +360,8 @@ def _figures(made: ControlCalibration) -> list[tuple[str, str, Any]]:
 
 def _parameters(made: ControlCalibration) -> str:
     rows = []
-    sigmas = np.sqrt(np.diag(made.fit.covariance))
+    free = np.diag(made.fit.covariance) > 0
+    sigmas = np.where(free, np.sqrt(np.diag(made.covariance)), 0.0)
     for key, value, sigma in zip(BROWN_KEYS, made.camera.vector, sigmas, strict=True):
         if sigma > 0 or key in ("f_px", "cx_px", "cy_px"):
             name, unit = PARAMETERS[key]
@@ -370,7 +369,8 @@ def _parameters(made: ControlCalibration) -> str:
             rows.append((name, shown))
     return table_section(
         "Parameters",
-        "One standard deviation. K and P in focal units; undistorted to distorted; image corner at (0, 0).",
+        "One standard deviation, with what steps left out and a lens beyond Brown's model would change. "
+        "K and P in focal units; undistorted to distorted; image corner at (0, 0).",
         ("Parameter", "This calibration"),
         rows,
     )

@@ -194,7 +194,10 @@ _WALL_CURES = {
     "wall-twist": "Try another wall, or add photos from other heights.",
     "wall-bend-up": "Try another wall, or add photos from other heights.",
 }
-_CIRCLE = "Fly a full circle around the middle: 12 photos or more, 30 to 45 degrees off straight down."
+_CIRCLE = (
+    "Fly two full circles around the middle, 12 photos each: one 40 degrees off straight down, one a third "
+    "higher and 25 degrees off; and take some photos straight down."
+)
 _ORBIT_CURES = {
     "alignment": "Fly again over textured ground with more overlap.",
     "coverage": "Let textured ground fill the whole picture: no sky, no water.",

@@ -38,7 +38,7 @@ class KeptControl:
 
 def sigma_percent(made: ControlCalibration) -> float:
     """Of the focal length, one standard deviation."""
-    return 100 * math.sqrt(made.fit.covariance[0, 0]) / made.camera.f_px
+    return 100 * math.sqrt(made.covariance[0, 0]) / made.camera.f_px
 
 
 def keep_campaign(

@@ -53,7 +53,7 @@ def marks_figure(calibration: ControlCalibration) -> go.Figure:
 
 def control_profiles_figure(calibration: ControlCalibration) -> go.Figure:
     """Radial profile with its 95 % band, and decentring profile, as far out as there are marks."""
-    camera, covariance = calibration.camera, calibration.fit.covariance
+    camera, covariance = calibration.camera, calibration.covariance
     middle = np.array([camera.cx_px, camera.cy_px])
     reach = float(np.linalg.norm(calibration.marks.pixels[calibration.used] - middle, axis=1).max())
     radius = np.linspace(0, reach, 81)

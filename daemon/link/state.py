@@ -19,8 +19,9 @@ from daemon.link.wire import GROUND_STATION, SYSTEM_ID, Frame
 E = TypeVar("E", bound=ev.Event)
 #: Without a heartbeat for this long the vehicle counts as gone.
 SILENT_S = 3.5
-#: A boot time that falls back by more than this is another boot, not a late message.
-RESTART_S = 5.0
+#: A boot time that falls back by more than this, and stays there for so long, is another boot. Messages
+#: that were held up somewhere come late one by one, among others that are not.
+RESTART_S, RESTART_STAYS_S = 5.0, 0.5
 _AUTOPILOT_COMPONENT = 1
 #: Questions of ours that may still be answered.
 _MOST_QUESTIONS = 32
@@ -53,6 +54,7 @@ class LinkState:
     boots: int = 1
     counts: Mapping[str, int] = field(default_factory=dict)
     _boot_s: float | None = None
+    _fallen_back_s: float | None = None
     _asked_ns: tuple[int, ...] = ()
 
     def last(self, kind: type[E]) -> E | None:
@@ -113,13 +115,9 @@ class LinkState:
     def _with(self, event: ev.Event, frame: Frame, at_s: float) -> tuple[LinkState, tuple[ev.Event, ...]]:
         state, before = self, tuple[ev.Event, ...]()
         if isinstance(event, _TIMED) and frame.component_id == _AUTOPILOT_COMPONENT:
-            boot_s = event.vehicle_boot_s
-            if state._boot_s is not None and boot_s < state._boot_s - RESTART_S:
-                restarted = ev.VehicleRestarted(state.boots + 1)
-                state = replace(state, boots=state.boots + 1, time_base=TimeBase(), _boot_s=boot_s)
-                before = (restarted,)
-            else:
-                state = replace(state, _boot_s=max(boot_s, state._boot_s or 0.0))
+            state = state._at_boot(event.vehicle_boot_s, at_s)
+            if state.boots > self.boots:
+                before = (ev.VehicleRestarted(state.boots),)
         if isinstance(event, ev.TimeSync):
             state = state._timesync(event, frame, at_s)
         elif isinstance(event, ev.SystemTime):
@@ -128,6 +126,16 @@ class LinkState:
         elif isinstance(event, ev.Parameter):
             state = replace(state, parameters={**state.parameters, event.name: event.value})
         return replace(state, latest={**state.latest, type(event): event}), (*before, event)
+
+    def _at_boot(self, boot_s: float, at_s: float) -> LinkState:
+        """The vehicle's clock was read; one boot more where it started anew."""
+        if self._boot_s is None or boot_s >= self._boot_s - RESTART_S:
+            return replace(self, _boot_s=max(boot_s, self._boot_s or 0.0), _fallen_back_s=None)
+        if self._fallen_back_s is None:
+            return replace(self, _fallen_back_s=at_s)
+        if at_s - self._fallen_back_s < RESTART_STAYS_S:
+            return self
+        return replace(self, boots=self.boots + 1, time_base=TimeBase(), _boot_s=boot_s, _fallen_back_s=None)
 
     def _timesync(self, event: ev.TimeSync, frame: Frame, at_s: float) -> LinkState:
         """Answers to another station's questions are heard as well: only ours count."""
