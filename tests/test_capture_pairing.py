@@ -164,6 +164,18 @@ def test_a_line_whose_odd_steps_are_sums_of_another_lines_is_not_called_sure() -
     assert all(truth[p.shot.name] == p.trigger.key for p in anchored.sure_pairs)
 
 
+def test_a_clock_that_drifts_as_none_does_is_not_believed() -> None:
+    """Steps of 1.01 s and whole seconds: a fit of 480 ppm slips by one photo within the flight."""
+    one = flight(1788)
+    result = pair(one.triggers, cut(one.shots, 1.0))
+    wrong = [p for p in result.sure_pairs if one.truth.get(p.shot.name) != p.trigger.key]
+    assert len(wrong) <= 1
+    assert result.sure_pairs or result.ambiguous
+    sharp = pair(one.triggers, cut(one.shots, 0.01))
+    assert len(sharp.sure_pairs) >= 480
+    assert all(one.truth.get(p.shot.name) == p.trigger.key for p in sharp.sure_pairs)
+
+
 def test_late_photos_join_without_disturbing_sure_pairs() -> None:
     for seed in range(4):
         flight = fly(seed, 150)

@@ -31,6 +31,8 @@ _COARSE_STEPS = 4.0
 #: So many triggers beside as many photos without each other speak against a clock.
 _BOTH_ALONE = 2
 _FITS, _NOT_TWICE = float(np.log(20.0)), float(np.log(100.0))
+#: No camera's clock drifts by more; a fit that does pairs one step off from somewhere on.
+_MOST_DRIFT = 3 * DRIFT_SIGMA
 #: An intervalometer keeps its time so well over a whole flight; no aircraft does.
 _ON_TIME_S = 0.08
 #: A clock that pairs as many photos, and to within so many times the jitter, is not dismissed: this likely.
@@ -88,6 +90,8 @@ def pair(
     step_s = _constant_step_s(times.trigger_s) if known is None else None
     if step_s is not None:
         weights = weights / 3
+    if known is None and abs(fits[0][1].drift) > _MOST_DRIFT:
+        weights = weights / 2
     joint: dict[tuple[int, int], float] = {}
     for weight, (_, _, cells, aligned) in zip(weights.tolist(), fits, strict=True):
         for i, j, p in zip(
