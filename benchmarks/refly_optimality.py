@@ -5,10 +5,9 @@ cases that are there already are kept, whole flights and the time of the large o
 case is the network of a nadir flight as a check keeps it (random size, height, overlap, noise, tie points),
 with eight stations to choose from: two of an orbit and six single ones at random. All 255 subsets are
 evaluated under the criterion of the search (sigma f, dome, any one photo missing, enough convergent photos,
-no two alike); the
-limits are 1.1 to 2.2 times what all eight bring, so that few of them cure, but not any few. Time is from the
-ground at the launch point and back. A few flights are searched with every station allowed, beside the best
-plain orbit and the papers' eight photos, and one of 300 photos is timed.
+no two alike); the limits are 1.1 to 2.2 times what all eight bring, so that few of them cure, but not any
+few. Time is from the ground at the launch point and back. A few flights are searched with every station
+allowed, beside the best plain orbit and the papers' eight photos, and one of 300 photos is timed.
 """
 
 from __future__ import annotations

@@ -19,7 +19,14 @@ from scipy.linalg import lapack
 
 from calib.camera import FloatArray
 from calib.field import Lens
-from calib.network_design import CameraNetwork, Known, point_roots, reduce_network, view_derivatives
+from calib.network_design import (
+    CameraNetwork,
+    Known,
+    Reduced,
+    point_roots,
+    reduce_network,
+    view_derivatives,
+)
 from calib.solution import IntArray
 
 #: What photos add to the information is remembered, as much as fits here.
@@ -153,20 +160,20 @@ def joint_covariance(
     functionals: FloatArray,
     points: IntArray,
     stands_for: float = 1.0,
+    reduced: Reduced | None = None,
 ) -> Joint:
     """Covariance of the lens, of ``functionals`` (c, m, 3) and of the chosen ``points`` (indices).
 
     Args:
         stands_for: points of the network for each one chosen. A chosen point is then their mean: what is
             its own, given poses and lens, is so many times better known.
+        reduced: the network reduced to these points' photos at least, where it is at hand.
 
     Raises:
         numpy.linalg.LinAlgError: lens or poses are not observable; give them priors.
     """
-    chosen = np.zeros(len(network.points_m), bool)
-    chosen[points] = True
-    kept = np.unique(network.photo[chosen[network.point]])
-    reduced = reduce_network(network, known, functionals, kept)
+    if reduced is None:
+        reduced = reduce_network(network, known, functionals, photos_of(network, points))
     q, c = reduced.n_lens, len(functionals)
     n = known.per_photo * len(reduced.kept) + q
     s = reduced.matrix
@@ -188,6 +195,14 @@ def joint_covariance(
     covariance[q : q + c, q + c :] += shared
     covariance[q + c :, q : q + c] += shared.T
     return Joint(covariance, q, c, network.points_m[points], np.asarray(points))
+
+
+def photos_of(network: CameraNetwork, points: IntArray) -> IntArray:
+    """The photos that see any of ``points``."""
+    chosen = np.zeros(len(network.points_m), bool)
+    chosen[points] = True
+    found: IntArray = np.unique(network.photo[chosen[network.point]])
+    return found
 
 
 def _points_in(

@@ -136,6 +136,10 @@ def run(arguments: Sequence[str] | None = None) -> int:
 
 def main() -> None:
     """Entry point of the ``fieldcal`` command."""
+    # Before numpy is loaded, which no module here does: threads for small matrices gain nothing, and waiting
+    # for each other beside a flight's other work they take minutes for what is done in seconds.
+    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
+        os.environ.setdefault(name, "1")
     for number in (signal.SIGTERM, signal.SIGHUP):
         signal.signal(number, _ended)
     for stream in (sys.stdout, sys.stderr):

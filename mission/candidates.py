@@ -10,7 +10,15 @@ from functools import cached_property
 import numpy as np
 
 from calib.camera import FloatArray
-from calib.network_extension import Joint, PhotoPool, PhotoRows, joint_covariance, rows_of_photos
+from calib.network_design import Reduced, reduce_network
+from calib.network_extension import (
+    Joint,
+    PhotoPool,
+    PhotoRows,
+    joint_covariance,
+    photos_of,
+    rows_of_photos,
+)
 from calib.network_views import angle_to_views_deg, nearest_view_deg, seen_points, view_table
 from calib.solution import IntArray
 from mission.plan import Station, Vehicle, looking_inwards
@@ -50,10 +58,19 @@ class _Ground:
     stands_for: float
 
 
-def _ground(planned: PlannedNetwork, points: IntArray, stands_for: float = 1.0) -> _Ground:
+def _part(points: IntArray, stands_for: float) -> IntArray:
+    """Every ``stands_for``-th of ``points``."""
+    count = max(round(len(points) / stands_for), 1)
+    found: IntArray = points[np.linspace(0, len(points) - 1, count).astype(int)]
+    return found
+
+
+def _ground(
+    planned: PlannedNetwork, points: IntArray, stands_for: float = 1.0, reduced: Reduced | None = None
+) -> _Ground:
     """Every ``stands_for``-th of the network's ``points``, and the views of them that there are."""
     net = planned.network
-    part = points[np.linspace(0, len(points) - 1, max(round(len(points) / stands_for), 1)).astype(int)]
+    part = _part(points, stands_for)
     place = np.full(len(net.points_m), -1)
     place[part] = np.arange(len(part))
     views = place[net.point] >= 0
@@ -61,7 +78,9 @@ def _ground(planned: PlannedNetwork, points: IntArray, stands_for: float = 1.0) 
     ray /= np.linalg.norm(ray, axis=1, keepdims=True)
     table = view_table(ray, place[net.point[views]], len(part))
     return _Ground(
-        joint_covariance(net, planned.known, planned.functionals, part, stands_for), table, stands_for
+        joint_covariance(net, planned.known, planned.functionals, part, stands_for, reduced),
+        table,
+        stands_for,
     )
 
 
@@ -98,8 +117,22 @@ class Candidates:
         return self._ground.joint
 
     def _even_ground(self, in_view: int, most: int) -> _Ground:
+        return _ground(self.planned, self._near, self._thinning(in_view, most), self._reduced)
+
+    def _thinning(self, in_view: int, most: int) -> float:
         per_photo = self.planned.assumptions.points_per_photo
-        return _ground(self.planned, self._near, max(per_photo / in_view, len(self._near) / most, 1.0))
+        return max(per_photo / in_view, len(self._near) / most, 1.0)
+
+    @cached_property
+    def _reduced(self) -> Reduced:
+        """The network reduced to the photos of all points that search or check use: most of the work."""
+        planned = self.planned
+        parts = [
+            _part(self._near, self._thinning(*given))
+            for given in ((IN_VIEW, MOST_EVEN), (CHECK_IN_VIEW, CHECK_MOST_EVEN))
+        ]
+        kept = photos_of(planned.network, np.concatenate(parts))
+        return reduce_network(planned.network, planned.known, planned.functionals, kept)
 
     @cached_property
     def _check_ground(self) -> _Ground:

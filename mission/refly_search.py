@@ -241,14 +241,7 @@ class PassSearch:
         share = _FIRST_SHARE
         found: Found | None = None
         for _ in range(_ROUNDS):
-            wanted = self.criterion
-            hunt = self.search(
-                replace(
-                    wanted,
-                    sigma_f_percent=share * wanted.sigma_f_percent,
-                    dome_percent=share * wanted.dome_percent,
-                )
-            )
+            hunt = self._eased(share)
             choice = hunt.greedy((), by_time=False)
             many = len(choice.photos) > MANY_PHOTOS
             if not many:
@@ -264,6 +257,17 @@ class PassSearch:
         if found is None:
             raise ValueError("a search needs rounds")
         return found
+
+    def _eased(self, share: float) -> Search:
+        """A search under limits ``share`` times those asked for."""
+        wanted = self.criterion
+        return self.search(
+            replace(
+                wanted,
+                sigma_f_percent=share * wanted.sigma_f_percent,
+                dome_percent=share * wanted.dome_percent,
+            )
+        )
 
     def _trimmed(self, photos: tuple[int, ...]) -> Found:
         """A pass that cures without the photos that it does not need, the dearest first."""

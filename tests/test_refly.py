@@ -318,6 +318,41 @@ def test_a_short_gimbal_gives_its_end() -> None:
     assert tilts_for(Vehicle(gimbal_highest_deg=-75.0)) == ()
 
 
+def _outline(case: FlownSite, east_m: tuple[float, float], north_m: tuple[float, float]) -> list[list[float]]:
+    corners = np.array([[east_m[i], north_m[j], 0.0] for i, j in ((0, 0), (1, 0), (1, 1), (0, 1))])
+    latitude, longitude, _ = case.site.frame.geodetic(corners).T
+    return np.column_stack([latitude, longitude]).tolist()
+
+
+def test_round_a_building_in_the_middle(case: FlownSite) -> None:
+    east, north = PassSearch(case.planned, case.site, 30.0).middle_m
+    outline = _outline(case, (east - 12, east + 12), (north - 12, north + 12))
+    found = refly(_with(case, structure=[{"outline": outline, "height_m": 70.0}]))
+    assert found.cures
+    assert found.found is not None
+    assert 5 <= len(found.found.stations) <= 14
+    away = [max(abs(s.east_m - east), abs(s.north_m - north)) - 12 for s in found.found.stations]
+    assert all(10 < a < 60 or s.height_m > 80 for a, s in zip(away, found.found.stations, strict=True))
+
+
+def test_from_one_side_of_a_fence(case: FlownSite) -> None:
+    north = float(PassSearch(case.planned, case.site, 30.0).middle_m[1])
+    south = _outline(case, (-50.0, 140.0), (-50.0, north - 5.0))
+    found = refly(_with(case, fence=[{"keep": "in", "outline": south}]))
+    assert found.cures
+    assert found.found is not None
+    assert 5 <= len(found.found.stations) <= 14
+    assert all(-50.0 < s.north_m < north - 5.0 for s in found.found.stations)
+
+
+def test_a_gimbal_that_reaches_thirty_degrees_is_enough(case: FlownSite) -> None:
+    found = refly(_with(case, vehicle={"gimbal_lowest_deg": -90, "gimbal_highest_deg": -60}))
+    assert found.cures
+    assert found.found is not None
+    assert all(22.4 <= 90 + s.pitch_deg <= 30.0 for s in found.found.stations)
+    assert 5 <= len(found.found.stations) <= 14
+
+
 # --- When flying does not help ---------------------------------------------------------------------
 
 
