@@ -19,7 +19,15 @@ from calib.control_adjust import (
     resected,
     residuals_px,
 )
-from calib.control_checks import RADIAL, require_agreement, require_lens, require_shape, shape_notes
+from calib.control_checks import (
+    AGREE_SHARE,
+    RADIAL,
+    require_agreement,
+    require_handedness,
+    require_lens,
+    require_shape,
+    shape_notes,
+)
 from calib.control_files import ControlPoint, Mark
 from calib.control_spread import Spread, model_spread
 from calib.errors import AlignmentError, InputError
@@ -241,6 +249,10 @@ def calibrate_control(
             "order and units of the coordinates (x east, y north, z up) and the focal length (--focal-px)."
         ) from error
     on_control = marks.control[marks.point]
+    share = float(np.mean(used[on_control]))
+    if share < AGREE_SHARE:
+        # Said at once: the hunt for blunders takes minutes where hundreds of marks are wrong.
+        require_handedness(marks, start, share)
     # Blunders are sought under the radial model: before, the corners miss for want of it.
     fit = adjust(marks, block, RADIAL, used)
     fit, used = _without_blunders(marks, fit, used, on_control, RADIAL)

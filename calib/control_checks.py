@@ -36,29 +36,32 @@ def require_agreement(marks: MarkSet, start: BrownCamera, used: BoolArray, on_co
     share = float(np.mean(used[on_control]))
     if share >= AGREE_SHARE:
         return
-    _require_handedness(marks, start, share)
+    require_handedness(marks, start, share)
     raise InputError(
         f"Only {100 * share:.0f} % of the marks agree with the points. Check the points' names, the order of "
         "their coordinates (x east, y north, z up) and their units, or give the focal length with --focal-px."
     )
 
 
-def _require_handedness(marks: MarkSet, start: BrownCamera, share: float) -> None:
-    """Say which two axes are swapped, where the photos' marks fit so and better than the given ``share``."""
+def require_handedness(marks: MarkSet, start: BrownCamera, share: float) -> None:
+    """Say that two axes are swapped, where the marks fit the mirrored points, better than ``share`` of them.
+
+    Which two cannot be told: all such swaps are the same mirrored object, turned.
+    """
     on_control = marks.control[marks.point]
-    for names, axes in (("x and y", [1, 0, 2]), ("y and z", [0, 2, 1]), ("x and z", [2, 1, 0])):
-        mirrored = replace(marks, points_m=marks.points_m[:, axes])
-        try:
-            block, used = resected(mirrored, start)
-            if float(np.mean(used[on_control])) <= max(0.9, share):
-                continue
-            fit = adjust(mirrored, block, RADIAL, used & on_control)
-        except AlignmentError:
-            continue
-        if _believable(fit, start):
-            raise InputError(
-                f"The points fit the photos only with {names} swapped: give them as x east, y north, z up."
-            )
+    mirrored = replace(marks, points_m=marks.points_m[:, [1, 0, 2]])
+    try:
+        block, used = resected(mirrored, start)
+        if float(np.mean(used[on_control])) <= max(0.9, share):
+            return
+        fit = adjust(mirrored, block, RADIAL, used & on_control)
+    except AlignmentError:
+        return
+    if _believable(fit, start):
+        raise InputError(
+            "The points fit the photos only mirrored, as with x and y swapped: give them as x east, y north, "
+            "z up."
+        )
 
 
 def _believable(fit: Fit, start: BrownCamera) -> bool:
@@ -72,7 +75,7 @@ def require_lens(marks: MarkSet, fit: Fit, start: BrownCamera) -> None:
     """Refuse an adjustment that ran away: wrong points, or marks that do not tell the focal length."""
     if _believable(fit, start):
         return
-    _require_handedness(marks, start, 0.0)
+    require_handedness(marks, start, 0.0)
     raise InputError(
         f"The marks give no believable focal length ({fit.block.camera.f_px:.4g} px, against "
         f"{start.f_px:.4g} px stated). Check the points' names, the order of their coordinates (x east, y "

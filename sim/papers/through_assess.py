@@ -132,7 +132,8 @@ def section(place: Place, seeds: int) -> Section:
     results = computed("assessed", assessed, cases, place)
     by_flight = {f: [r for c, r in zip(cases, results, strict=True) if c.flight == f] for f in FLIGHTS}
     page.say(
-        f"The eight flights again, {seeds} seeds each, a lens error of {PATTERNS_PX[1]:g} px and Brown as in "
+        f"The eight flights again, {seeds} seed{'s' if seeds > 1 else ''} each, a lens error of "
+        f"{PATTERNS_PX[1]:g} px and Brown as in "
         f"section 3; a dense cloud of {DENSE_POINTS} points intersected from their photos "
         f"({MATCH_PX:g} px, {100 * MATCH_SHARE:.0f} % of all views), "
         f"written as LAS, and held by `fieldcal assess` against {RTK_POINTS} surveyed points "
@@ -194,6 +195,8 @@ def _said(page: Section, by_flight: dict[str, list[dict[str, Any]]]) -> None:
         f"photos; moved onto the line, nadir flights have {after:.1f} cm and {rise:.2f} times the eta_p. "
         "Sections 4 and 5 knew which points belong together; the command finds the pattern from a cloud and "
         "a list of points alone. On site B, flat as it is, heights fix neither scale nor shift in plan, and "
-        "the command says so. eta_p also holds the relief between the surveyed points, which the residual "
+        "the command says so. Its slopes against elevation there are no focal errors, either: some "
+        "decimetres of relief are too little to tell one, which the command's sigmas do not show. eta_p also "
+        "holds the relief between the surveyed points, which the residual "
         "at the points does not.",
     )
