@@ -116,7 +116,7 @@ class Flight:
         self.card = self.home / "card"
         self.card.mkdir()
         self._photos = photos
-        self._port, self._live = free_port(), f"tcp/127.0.0.1:{free_port()}"
+        self._port, self._live = free_port(), f"tcp/127.0.0.1:{_quiet_port()}"
         self._before_s, self._orphans_s = _children_s(), 0.0
         at_s = [FROM_S + EVERY_S * n for n in range(len(photos))]
         self.told = ToldFlight(photos, at_s, self._port, self.card)
@@ -244,6 +244,11 @@ class Flight:
         with SessionReader.open(self.folder) as record:
             return len(self._photos) - record.counts().triggers
 
+    def last_word(self) -> str:
+        """What the program said last."""
+        lines = (self.home / "said.txt").read_text(errors="replace").strip().splitlines()
+        return lines[-1].replace(str(self.home), "") if lines else ""
+
     def run_out(self) -> int:
         """Until it ends by itself: its exit code."""
         with self.running() as process:
@@ -253,6 +258,15 @@ class Flight:
         """What the flight found, without times and places of files."""
         text = (self.folder / "report.json").read_text(encoding="utf-8").replace(str(self.home), "")
         return {key: value for key, value in json.loads(text).items() if key not in ("timing", "exports")}
+
+
+def _quiet_port() -> int:
+    """A TCP port that no connection gets by chance while the program is down: below those given out."""
+    for port in random.sample(range(20_000, 32_000), 100):
+        with socket.socket() as one, contextlib.suppress(OSError):
+            one.bind(("127.0.0.1", port))
+            return port
+    raise OSError("no TCP port is free")
 
 
 def _children_s() -> float:
@@ -285,7 +299,8 @@ def fly(seed: int) -> Killed:
                 break
         code = flight.run_out() if over is None else over
         same = code in (0, 3, 4) and flight.report() == there.report
-        verdict = str(flight.report()["verdict"]) if code in (0, 3, 4) else f"exit code {code}"
+        ended = code in (0, 3, 4)
+        verdict = str(flight.report()["verdict"]) if ended else f"exit code {code}: {flight.last_word()}"
         return Killed(
             *(seed, kills, verdict, same, flight.doubled(), flight.missing()),
             *(flight.cpu_s, time.monotonic() - began_s),

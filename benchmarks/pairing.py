@@ -1,6 +1,7 @@
 """How often photos get the wrong trigger, and how many right pairs are called sure: random flights.
 
-`OPENBLAS_NUM_THREADS=1 python -m benchmarks.pairing --flights 10000` writes benchmarks/pairing.md.
+`OPENBLAS_NUM_THREADS=1 python -m benchmarks.pairing --flights 10000` writes benchmarks/pairing.md. Its sums
+go to benchmarks/pairing.jsonl, 250 flights a line; begun again it goes on.
 """
 
 from __future__ import annotations
@@ -9,18 +10,22 @@ import argparse
 import bisect
 import time
 from collections import defaultdict
-from collections.abc import Iterator, Sequence
-from concurrent.futures import ProcessPoolExecutor
-from dataclasses import dataclass, field
+from collections.abc import Sequence
+from dataclasses import astuple, dataclass, field
+from functools import partial
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 
 from benchmarks.pairing_flights import KINDS, Flight, cut, flight
+from benchmarks.resumed import read_rows, run_rows
 from daemon.capture.pairing import pair
 from daemon.capture.records import Shot
 
 HERE = Path(__file__).parent
+#: Flights whose sums are one line.
+CHUNK = 250
 RESOLUTIONS_S = {"times to 0.01 s": 0.01, "whole seconds": 1.0}
 OURS, ORDER, LAST, NEAREST = "fieldcal", "by order", "nearest, last pair anchored", "nearest, true offset"
 PEERS = {
@@ -53,6 +58,17 @@ Key = tuple[str, str, str]
 Tallies = dict[Key, Tally]
 
 
+@dataclass
+class Chunk:
+    """Sums over the flights of seeds ``first`` to ``first + flights - 1``, and what they cost in CPU-s."""
+
+    first: int
+    flights: int
+    tallies: Tallies
+    ours_s: float = 0.0
+    others_s: float = 0.0
+
+
 def group_of(one: Flight) -> str:
     """Flights with a turn or pause; without one but uneven; at constant intervals."""
     if one.kind == "constant":
@@ -60,24 +76,28 @@ def group_of(one: Flight) -> str:
     return "turn or pause" if one.has_pause else "no turn or pause"
 
 
-def measure(seed: int) -> Tallies:
-    """One flight with both kinds of times, by all rules."""
-    one, out = flight(seed), {}
+def measure(seed: int, chunk: Chunk) -> None:
+    """One flight with both kinds of times, by all rules: add it to the sums."""
+    one = flight(seed)
     group = group_of(one)
     for label, resolution_s in RESOLUTIONS_S.items():
         shots = cut(one.shots, resolution_s)
+        started_s = time.process_time()
         result = pair(one.triggers, shots)
-        sure = [(p.shot.name, p.trigger.key) for p in result.sure_pairs]
-        tally = _judged(one, sure, seed)
+        paired_s = time.process_time()
+        others = peers(one, shots)
+        chunk.ours_s += paired_s - started_s
+        chunk.others_s += time.process_time() - paired_s
+        tally = _judged(one, [(p.shot.name, p.trigger.key) for p in result.sure_pairs], seed)
         tally.given = len(result.pairs)
         tally.given_right = sum(one.truth.get(p.shot.name) == p.trigger.key for p in result.pairs)
         tally.refused = int(result.ambiguous or result.clock is None)
-        out[group, label, OURS] = tally
-        out[one.kind, label, OURS] = tally
-        for rule, pairs in peers(one, shots).items():
-            out[group, label, rule] = _judged(one, pairs or [], seed)
-            out[group, label, rule].refused = int(pairs is None)
-    return out
+        chunk.tallies[group, label, OURS].add(tally)
+        chunk.tallies[one.kind, label, OURS].add(tally)
+        for rule, pairs in others.items():
+            tally = _judged(one, pairs or [], seed)
+            tally.refused, tally.bad = int(pairs is None), []
+            chunk.tallies[group, label, rule].add(tally)
 
 
 def _judged(one: Flight, pairs: Sequence[tuple[str, int]], seed: int) -> Tally:
@@ -119,19 +139,31 @@ def nearest(one: Flight, shots: Sequence[Shot], offset_s: float) -> list[tuple[s
     return pairs
 
 
-def campaign(flights: int, workers: int) -> Iterator[tuple[int, Tallies]]:
-    """All flights together: how many are done and the sums so far, every hundred of them."""
-    total: Tallies = defaultdict(Tally)
-    with ProcessPoolExecutor(workers) as pool:
-        for done, found in enumerate(pool.map(measure, range(flights), chunksize=10), start=1):
-            for key, tally in found.items():
-                total[key].add(tally)
-            if done % 100 == 0 or done == flights:
-                yield done, total
+def campaign(number: int, flights: int) -> Chunk:
+    """The sums of one line, of so many flights in all."""
+    first = number * CHUNK
+    chunk = Chunk(first, min(CHUNK, flights - first), defaultdict(Tally))
+    for seed in range(first, first + chunk.flights):
+        measure(seed, chunk)
+    return chunk
 
 
-def report(total: Tallies, flights: int, past_s: float) -> str:
+def _row(chunk: Chunk) -> dict[str, Any]:
+    tallies = [[*key, *astuple(tally)] for key, tally in chunk.tallies.items()]
+    return {**vars(chunk), "tallies": tallies}
+
+
+def _made(row: dict[str, Any]) -> Chunk:
+    return Chunk(**{**row, "tallies": {tuple(r[:3]): Tally(*r[3:]) for r in row["tallies"]}})
+
+
+def report(chunks: Sequence[Chunk]) -> str:
     """Markdown."""
+    flights, ours_s = sum(c.flights for c in chunks), sum(c.ours_s for c in chunks)
+    total: Tallies = defaultdict(Tally)
+    for chunk in chunks:
+        for key, tally in chunk.tallies.items():
+            total[key].add(tally)
     lines = [
         "# Pairing of photos and triggers",
         "",
@@ -141,7 +173,8 @@ def report(total: Tallies, flights: int, past_s: float) -> str:
         "an end; up to five test shots; exposures up to 0.2 s late; clock off by up to an hour and drifting",
         "by up to 200 ppm, neither known beforehand; wind, gusts, turns, pauses, bursts. A flight counts as",
         "one with a turn or pause if any interval between its triggers is 1.5 times the usual one.",
-        f"{past_s:.0f} s.",
+        f"Pairing took {ours_s:.0f} CPU-s ({ours_s / flights / 2:.3f} a sequence), the other rules "
+        f"{sum(c.others_s for c in chunks):.0f}.",
         "",
         "## Sure pairs",
         "",
@@ -206,15 +239,18 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--flights", type=int, default=10_000)
     parser.add_argument("--workers", type=int, default=1)
-    parser.add_argument("--out", type=Path, default=HERE / "pairing.md")
+    parser.add_argument("--out", type=Path, default=HERE)
     asked = parser.parse_args()
-    started = time.monotonic()
-    for done, total in campaign(asked.flights, asked.workers):
-        past_s = time.monotonic() - started
-        asked.out.write_text(report(total, done, past_s), encoding="utf-8")
-        sure = [t for (group, _, rule), t in total.items() if rule == OURS and group in KINDS]
-        wrong, right = sum(t.wrong for t in sure), sum(t.right for t in sure)
-        print(f"{done} flights in {past_s:.0f} s: {right} right and {wrong} wrong among the sure", flush=True)
+    raw, count = asked.out / "pairing.jsonl", -(-asked.flights // CHUNK)
+    known = {
+        chunk.first // CHUNK: chunk
+        for chunk in read_rows(raw, _made)
+        if chunk.flights == min(CHUNK, asked.flights - chunk.first)
+    }
+    chunks = run_rows(count, raw, asked.workers, partial(campaign, flights=asked.flights), _row, known)
+    (asked.out / "pairing.md").write_text(report(chunks), encoding="utf-8")
+    ours = [t for c in chunks for (group, _, rule), t in c.tallies.items() if rule == OURS and group in KINDS]
+    print(f"{sum(t.right for t in ours)} right and {sum(t.wrong for t in ours)} wrong among the sure")
 
 
 if __name__ == "__main__":

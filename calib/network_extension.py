@@ -2,21 +2,28 @@
 
 The network's joint covariance of lens, functionals and some ground points is computed once; each
 photo is then a measurement of lens and points, its own pose eliminated, and changes the covariance
-by the Kalman (Woodbury) update. Exact, and as cheap as the photo has points.
+by the Kalman (Woodbury) update. Exact, and as cheap as the photo has points. Several photos at once are
+summed in the covariance's inverse: as cheap as there are points, however many the photos.
 """
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
+from itertools import pairwise
 
 import numpy as np
 import scipy.linalg
+from scipy.linalg import lapack
 
 from calib.camera import FloatArray
 from calib.field import Lens
 from calib.network_design import CameraNetwork, Known, point_roots, reduce_network, view_derivatives
 from calib.solution import IntArray
+
+#: What photos add to the information is remembered, as much as fits here.
+_KEPT_BYTES = 64_000_000
 
 
 @dataclass(frozen=True)
@@ -68,14 +75,76 @@ class Joint:
 
     def head_with(self, rows: PhotoRows) -> FloatArray:
         """:attr:`head` of :meth:`with_photo`, at a fraction of its cost."""
+        return self._head_moved(rows, 1.0)
+
+    def head_without(self, rows: PhotoRows) -> FloatArray:
+        """:attr:`head` of :meth:`without_photo`, at a fraction of its cost."""
+        return self._head_moved(rows, -1.0)
+
+    def _head_moved(self, rows: PhotoRows, sign: float) -> FloatArray:
         n = self.n_lens + self.n_functionals
         part = self.covariance[rows.columns[:, None], rows.columns]
-        inner = np.eye(len(rows.matrix)) + rows.matrix @ part @ rows.matrix.T
-        half, _ = scipy.linalg.lapack.dtrtrs(
+        inner = np.eye(len(rows.matrix)) + sign * (rows.matrix @ part @ rows.matrix.T)
+        half, _ = lapack.dtrtrs(
             np.linalg.cholesky(inner), rows.matrix @ self.covariance[rows.columns, :n], lower=1
         )
-        found: FloatArray = self.covariance[:n, :n] - half.T @ half
+        found: FloatArray = self.covariance[:n, :n] - sign * (half.T @ half)
         return found
+
+    @cached_property
+    def information(self) -> _Information:
+        """The inverse, to which photos are added by mere sums."""
+        q, n = self.n_lens, self.n_lens + self.n_functionals
+        scale = 1 / np.sqrt(np.diag(self.covariance))
+        # Functionals are told by the rest, exactly where it is all points: they stand aside.
+        scale[q:n] = 1.0
+        matrix = self.covariance * np.outer(scale, scale)
+        cross = matrix[q:n].copy()
+        cross[:, q:n] = 0.0
+        matrix[q:n], matrix[:, q:n] = 0.0, 0.0
+        matrix[np.arange(q, n), np.arange(q, n)] = 1.0
+        matrix = _inverse_of(_factor_of(matrix))
+        weights = cross @ matrix
+        rest = self.covariance[q:n, q:n] - weights @ cross.T
+        return _Information(
+            np.ascontiguousarray(matrix[::-1, ::-1]), scale, np.outer(1 / scale, 1 / scale), weights, rest
+        )
+
+
+@dataclass(frozen=True)
+class _Information:
+    """Information of lens and points in units of their sigmas 1 / ``scale``; functionals ride along.
+
+    ``matrix`` (n, n) over the unknowns of the :class:`Joint` in reversed order, the lens last; in the place
+    of functionals the identity. ``unit`` (n, n): 1 / scale both ways. A functional is ``weights`` (c, n)
+    times the unknowns and a rest of its own of covariance ``rest`` (c, c), which no photo of these points
+    changes.
+    """
+
+    matrix: FloatArray
+    scale: FloatArray
+    unit: FloatArray
+    weights: FloatArray
+    rest: FloatArray
+
+
+def _factor_of(matrix: FloatArray) -> FloatArray:
+    """Lower Cholesky factor of a symmetric matrix, overwriting it: LAPACK without the checks."""
+    # The transpose of a symmetric matrix in C's order is itself in Fortran's.
+    factor, info = lapack.dpotrf(matrix.T, lower=1, clean=1, overwrite_a=1)
+    if info:
+        raise np.linalg.LinAlgError("the network's covariance is not positive definite")
+    found: FloatArray = factor
+    return found
+
+
+def _inverse_of(factor: FloatArray) -> FloatArray:
+    """Inverse of a matrix whose lower Cholesky factor this is, overwriting it."""
+    lower, _ = lapack.dpotri(factor, lower=1, overwrite_c=1)
+    diagonal = np.diag(lower).copy()
+    found: FloatArray = lower + lower.T
+    np.fill_diagonal(found, diagonal)
+    return found
 
 
 def joint_covariance(
@@ -167,29 +236,63 @@ def photo_rows(
     Args:
         pose_sigma: prior of its attitude (rad) and of its position (m).
     """
-    n = len(points)
+    several = np.zeros(len(points), np.intp)
+    return rows_of_photos(
+        joint, lens, known, rotation[None], centre_m[None], several, points, sigma_px, pose_sigma
+    )[0]
+
+
+def rows_of_photos(
+    joint: Joint,
+    lens: Lens,
+    known: Known,
+    rotations: FloatArray,
+    centres_m: FloatArray,
+    photo: IntArray,
+    point: IntArray,
+    sigma_px: FloatArray,
+    pose_sigma: tuple[float, float] = (np.inf, np.inf),
+) -> list[PhotoRows]:
+    """:func:`photo_rows` of k photos at once, from their views: photo, point, sigma_px (n,), by photo."""
     by_pose, by_lens, by_point = view_derivatives(
         lens,
-        np.broadcast_to(rotation, (n, 3, 3)),
-        np.broadcast_to(centre_m, (n, 3)),
-        joint.points_m[points],
+        rotations[photo],
+        centres_m[photo],
+        joint.points_m[point],
         sigma_px,
         shutter=known.shutter_sigma_m is not None,
     )
     prior = [*pose_sigma] if known.shutter_sigma_m is None else [*pose_sigma, known.shutter_sigma_m]
-    each = known.per_photo
+    of_pose = np.diag(1 / np.repeat(prior, 3))
+    by_lens = by_lens[:, :, known.free]
+    ends = np.searchsorted(photo, np.arange(len(rotations) + 1))
+    return [
+        _without_pose(joint, by_pose[a:b], by_lens[a:b], by_point[a:b], point[a:b], of_pose)
+        for a, b in pairwise(ends)
+    ]
+
+
+def _without_pose(
+    joint: Joint,
+    by_pose: FloatArray,
+    by_lens: FloatArray,
+    by_point: FloatArray,
+    points: IntArray,
+    of_pose: FloatArray,
+) -> PhotoRows:
+    """One photo's rows; its pose, known to ``of_pose`` of unit weight, is eliminated."""
+    n, each = len(points), len(of_pose)
     q, first = joint.n_lens, joint.n_lens + joint.n_functionals
-    unknowns = np.zeros((2 * n + each, q + 3 * n))
-    unknowns[: 2 * n, :q] = by_lens[:, :, known.free].reshape(2 * n, q)
+    unknowns = np.zeros((2 * n + each, q + 3 * n), order="F")
+    unknowns[: 2 * n, :q] = by_lens.reshape(2 * n, q)
     row = np.arange(2 * n)
     for axis in range(3):
         unknowns[row, q + 3 * (row // 2) + axis] = by_point[:, :, axis].ravel()
-    pose = np.zeros((2 * n + each, each))
-    pose[: 2 * n] = by_pose.reshape(2 * n, each)
-    pose[2 * n :] = np.diag(1 / np.repeat(prior, 3))
-    rest = np.linalg.qr(pose / np.linalg.norm(pose, axis=0), mode="complete")[0][:, each:]
+    pose = np.concatenate([by_pose.reshape(2 * n, each), of_pose])
+    reflected, tau, _, _ = lapack.dgeqrf(pose / np.linalg.norm(pose, axis=0))
+    turned, _, _ = lapack.dormqr("L", "T", reflected, tau, unknowns, 64 * unknowns.shape[1], overwrite_c=1)
     columns = np.concatenate([np.arange(q), (first + 3 * points[:, None] + np.arange(3)).ravel()])
-    return PhotoRows(rest.T @ unknowns, columns)
+    return PhotoRows(np.ascontiguousarray(turned[each:]), columns)
 
 
 class PhotoPool:
@@ -200,64 +303,58 @@ class PhotoPool:
 
     def __init__(self, joint: Joint, rows: list[PhotoRows]) -> None:
         self.joint, self.rows = joint, rows
-        self._pairs: dict[tuple[int, int], FloatArray] = {}
-        self._heads: dict[int, FloatArray] = {}
+        self._added: dict[int, FloatArray] = {}
 
     def __len__(self) -> int:
         return len(self.rows)
 
-    @cached_property
-    def _n(self) -> int:
-        return self.joint.n_lens + self.joint.n_functionals
+    def _information(self, i: int) -> FloatArray:
+        """What a photo adds to :attr:`Joint.information`; the last ones are kept."""
+        if i not in self._added:
+            rows, given = self.rows[i], self.joint.information
+            scaled = rows.matrix / given.scale[rows.columns]
+            places = len(given.scale) - 1 - rows.columns
+            added = np.zeros_like(given.matrix)
+            added[places[:, None], places] = scaled.T @ scaled
+            while len(self._added) >= max(_KEPT_BYTES // added.nbytes, 8):
+                del self._added[next(iter(self._added))]
+            self._added[i] = added
+        return self._added[i]
 
-    def _head(self, i: int) -> FloatArray:
-        if i not in self._heads:
-            rows = self.rows[i]
-            self._heads[i] = rows.matrix @ self.joint.covariance[rows.columns, : self._n]
-        return self._heads[i]
+    def _factor(self, photos: Sequence[int]) -> FloatArray:
+        """Of the information with ``photos``.
 
-    def _pair(self, i: int, j: int) -> FloatArray:
-        if (i, j) not in self._pairs:
-            a, b = self.rows[i], self.rows[j]
-            part = self.joint.covariance[a.columns[:, None], b.columns]
-            self._pairs[i, j] = a.matrix @ part @ b.matrix.T
-        return self._pairs[i, j]
+        Raises numpy's LinAlgError where a photo's measurements are not finite.
+        """
+        matrix = self.joint.information.matrix.copy()
+        for i in photos:
+            matrix += self._information(i)
+        return _factor_of(matrix)
 
-    def combined(self, photos: tuple[int, ...]) -> Combined:
-        """The network with ``photos`` added, at least one."""
-        ends = np.concatenate([[0], np.cumsum([len(self.rows[i].matrix) for i in photos])])
-        inner = np.eye(int(ends[-1]))
-        for a, i in enumerate(photos):
-            for b, j in enumerate(photos[: a + 1]):
-                block = self._pair(max(i, j), min(i, j))
-                # Only the lower triangle is read.
-                inner[ends[a] : ends[a + 1], ends[b] : ends[b + 1]] += block if i >= j else block.T
-        seen = np.concatenate([self._head(i) for i in photos])
-        factor, info = scipy.linalg.lapack.dpotrf(inner, lower=1, clean=0, overwrite_a=1)
-        if info:
-            raise np.linalg.LinAlgError("a photo's measurements are not finite")
-        lower, _ = scipy.linalg.lapack.dpotri(factor, lower=1, overwrite_c=1)
-        taken = scipy.linalg.blas.dsymm(1.0, lower, seen, lower=1)
-        return Combined(self.joint.head - seen.T @ taken, lower, taken, ends)
+    def combined(self, photos: Sequence[int]) -> Joint:
+        """The network with ``photos`` added; raises LinAlgError where their rows are not finite."""
+        joint, given = self.joint, self.joint.information
+        q, n = joint.n_lens, joint.n_lens + joint.n_functionals
+        inverse = _inverse_of(self._factor(photos))[::-1, ::-1]
+        covariance = inverse * given.unit
+        with_functionals = given.weights @ inverse
+        cross = with_functionals / given.scale
+        covariance[q:n], covariance[:, q:n] = cross, cross.T
+        covariance[q:n, q:n] = given.rest + with_functionals @ given.weights.T
+        return replace(joint, covariance=covariance)
 
-
-@dataclass(frozen=True)
-class Combined:
-    """A network with photos added together, any of which can be left out again.
-
-    ``head``: covariance of lens and functionals with all of them. ``lower``: the lower triangle of
-    the inverse covariance of their measurements.
-    """
-
-    head: FloatArray
-    lower: FloatArray
-    taken: FloatArray
-    ends: IntArray
-
-    def without(self, *places: int) -> FloatArray:
-        """:attr:`head` without the photos at these places of the list."""
-        rows = np.concatenate([np.arange(self.ends[a], self.ends[a + 1]) for a in sorted(places)])
-        taken, block = self.taken[rows], self.lower[np.ix_(rows, rows)]
-        block = np.tril(block) + np.tril(block, -1).T
-        left: FloatArray = self.head + taken.T @ np.linalg.solve(block, taken)
-        return left
+    def head(self, photos: Sequence[int]) -> FloatArray:
+        """:attr:`Joint.head` of :meth:`combined`, at a third of its cost."""
+        joint, given = self.joint, self.joint.information
+        q, n = joint.n_lens, joint.n_lens + joint.n_functionals
+        factor = self._factor(photos)
+        # The lens comes last: its corner of the factor is that of the lens with all else eliminated.
+        told, _ = lapack.dtrtrs(factor, given.weights.T[::-1], lower=1)
+        corner = factor[-q:, -q:]
+        half, _ = lapack.dtrtrs(corner, np.eye(q), lower=1)
+        found = np.empty((n, n))
+        found[:q, :q] = (half.T @ half)[::-1, ::-1] * given.unit[:q, :q]
+        found[:q, q:] = (half.T @ told[-q:])[::-1] / given.scale[:q, None]
+        found[q:, :q] = found[:q, q:].T
+        found[q:, q:] = given.rest + told.T @ told
+        return found

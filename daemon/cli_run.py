@@ -219,7 +219,8 @@ def run_command(
             if line is not None and options.link is not None:
                 print(f"The vehicle is listened to on {printable(options.link)}.")
         flight = Flight(session, options, solver, tell, link=told, bringer=bringer)
-        return Rounds(flight, session, told, screen, wishes, options.vehicle, tell).run().exit_code
+        rounds = Rounds(flight, session, told, screen, wishes, options.vehicle, tell, notifier.busy)
+        return rounds.run().exit_code
 
 
 def _bus(vehicle: str, settings: Settings, answers: Answers, commands: Commands | None) -> Bus | None:

@@ -1,15 +1,17 @@
 """Tells systemd how the program does: sd_notify(3) by hand, one datagram for each word.
 
 Without ``NOTIFY_SOCKET`` nothing is sent. What is told comes from the main loop, so that the watchdog
-notices when that hangs.
+notices when that hangs; long work without a message is announced with the time it may take.
 """
 
 from __future__ import annotations
 
 import os
 import socket
+import threading
 import time
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 
 from daemon.closing import Closing
 from daemon.live.schemas import Capture, Message, Status, Verdict
@@ -63,6 +65,29 @@ class Notifier(Closing):
         status = ", ".join([self._phase, f"{self._photos} photos", *filter(None, [self._verdict])])
         if status != self._told and now - self._told_s >= STATUS_S and self._send(f"STATUS={status}"):
             self._told, self._told_s = status, now
+
+    @contextmanager
+    def busy(self, longest_s: float) -> Iterator[None]:
+        """Signs of life while something goes on that says nothing, for so long at most."""
+        if self._socket is None or self._watchdog_s is None:
+            yield
+            return
+        every_s, over = self._watchdog_s / 4, threading.Event()
+
+        def beat() -> None:
+            end = time.monotonic() + longest_s
+            while time.monotonic() < end:
+                self._send("WATCHDOG=1")
+                if over.wait(every_s):
+                    return
+
+        thread = threading.Thread(target=beat, name="signs of life", daemon=True)
+        thread.start()
+        try:
+            yield
+        finally:
+            over.set()
+            thread.join()
 
     def close(self) -> None:
         if self._socket is not None:

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import signal
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
@@ -24,7 +24,7 @@ from daemon.cli_upload import backup_folder
 from daemon.flight import Flight
 from daemon.live.schemas import Log, Message
 from daemon.output import console, write_stdout
-from daemon.refly_offer import Pass, find_pass, offer
+from daemon.refly_offer import PATIENCE_S, Pass, find_pass, offer
 from daemon.run_screen import Screen
 from daemon.session.library import finish, reopen
 from daemon.session.store import Session
@@ -35,6 +35,8 @@ if TYPE_CHECKING:
 
 #: Extra passes are offered so often: what two have not cured a third will not.
 MOST_PASSES = 2
+#: Nothing at the end of a flight takes longer: the report, copies with geotags, the search, an upload.
+WRITING_S, SEARCH_S, UPLOAD_S = 1200.0, 900.0, 600.0
 
 
 @dataclass(frozen=True)
@@ -55,7 +57,11 @@ class Wishes:
 
 
 class Rounds:
-    """One flight from its first photo to its last verdict."""
+    """One flight from its first photo to its last verdict.
+
+    Args:
+        alive: gives signs of life while something goes on, for so many seconds at most.
+    """
 
     def __init__(
         self,
@@ -66,10 +72,11 @@ class Rounds:
         wishes: Wishes,
         vehicle: str,
         tell: Callable[[Message], None],
+        alive: Callable[[float], AbstractContextManager[None]],
     ) -> None:
         self._flight, self._session, self._told = flight, session, told
         self._screen, self._wishes = screen, wishes
-        self._vehicle, self._tell = vehicle, tell
+        self._vehicle, self._tell, self._alive = vehicle, tell, alive
 
     def run(self) -> Verdict:
         """The last verdict.
@@ -105,6 +112,12 @@ class Rounds:
                     finish(session)  # Without a verdict; its photos are not tried again and again.
                 self._tell(self._log(str(error), "error"))
                 raise
+        with self._alive(WRITING_S):
+            return self._written(result)
+
+    def _written(self, result: CheckResult) -> CheckResult:
+        """With its report and what else was wished for."""
+        wishes, session = self._wishes, self._session
         result = replace(result, exports=write_outputs(result, session.folder))
         if wishes.out is not None:
             write_outputs(result, wishes.out)
@@ -127,7 +140,7 @@ class Rounds:
             return None
         told = self._told
         launch, flavour = (None, "ardupilot") if told is None else (told.launch, told.flavour)
-        with self._screen.busy("planning the extra pass"):
+        with self._screen.busy("planning the extra pass"), self._alive(SEARCH_S):
             found = find_pass(self._session, self._wishes.site, launch, flavour)
         self._say(f"Extra pass: {found.text}")
         return found if found.photos else None
@@ -136,7 +149,10 @@ class Rounds:
         told = self._told
         if told is None or not self._wishes.offer_refly:
             return False
-        return offer(told, self._session, found, self._word, backup_folder(), self._say, self._screen.busy)
+        with self._alive(PATIENCE_S + UPLOAD_S):
+            return offer(
+                told, self._session, found, self._word, backup_folder(), self._say, self._screen.busy
+            )
 
     def _word(self) -> bool:
         return self._wishes.yes or self._screen.ask("Upload the extra pass to the vehicle?")

@@ -10,7 +10,7 @@ from functools import cached_property
 import numpy as np
 
 from calib.camera import FloatArray
-from calib.network_extension import Joint, PhotoPool, PhotoRows, joint_covariance, photo_rows
+from calib.network_extension import Joint, PhotoPool, PhotoRows, joint_covariance, rows_of_photos
 from calib.network_views import angle_to_views_deg, nearest_view_deg, seen_points, view_table
 from calib.solution import IntArray
 from mission.plan import Station, Vehicle, looking_inwards
@@ -157,25 +157,31 @@ class Candidates:
         share = given.matching.share(angle) / planned.own_share
         used = share > 0.02
         photo, point, share = photo[used], point[used], share[used]
-        found: list[PhotoRows | None] = []
         pose_sigma = (math.radians(given.attitude_sigma_deg), given.position_sigma_m)
+        views, weights = [], []
         for i in range(len(stations)):
-            mine = np.flatnonzero(photo == i)
+            mine: IntArray = np.flatnonzero(photo == i)
             if len(mine) < (LEAST_EVEN if self._even else LEAST_POINTS):
-                found.append(None)
                 continue
             weight = 1.0
             if len(mine) > most and not self._even:
                 # Every n-th of an even sequence is even again.
-                part: IntArray = mine[np.linspace(0, len(mine) - 1, most).astype(int)]
+                part = mine[np.linspace(0, len(mine) - 1, most).astype(int)]
                 weight, mine = float(share[mine].sum() / share[part].sum()), part
-            sigma = given.sigma_px / np.sqrt(ground.stands_for * weight * share[mine])
-            found.append(
-                photo_rows(
-                    joint, planned.network.lens, planned.known, rotations[i], centres[i], point[mine], sigma,
-                    pose_sigma,
-                )
-            )  # fmt: skip
+            views.append(mine)
+            weights.append(weight * share[mine])
+        found: list[PhotoRows | None] = [None] * len(stations)
+        if not views:
+            return found
+        rows = np.concatenate(views)
+        sigma = given.sigma_px / np.sqrt(ground.stands_for * np.concatenate(weights))
+        made = rows_of_photos(
+            joint, planned.network.lens, planned.known, rotations, centres, photo[rows], point[rows], sigma,
+            pose_sigma,
+        )  # fmt: skip
+        for mine in views:
+            i = int(photo[mine[0]])
+            found[i] = made[i]
         return found
 
 

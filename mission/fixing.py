@@ -174,9 +174,9 @@ def polish(candidates: Candidates, hunt: Search, choice: Choice, ground_m: float
                     break
                 if hunt.hopeless(choice.photos, one, i):
                     continue
-                found = hunt.choice((*rest, i))
-                if found.good and found.seconds < choice.seconds - 0.1:
-                    choice, improved = found, True
+                cost_s = candidates.detours.seconds((*rest, i))
+                if cost_s < choice.seconds - 0.1 and hunt.holds((*rest, i)):
+                    choice, improved = hunt.choice((*rest, i)), True
                     break
             if improved:
                 break

@@ -31,7 +31,7 @@ SMALL_POOL = 200
 #: Of the exchanges that save time, how many are looked at, and of those how many tried in full.
 _LOOKED_AT, _TRIED = 40, 3
 #: Joint covariances remembered, of some megabytes each.
-_JOINTS_KEPT = 3
+_JOINTS_KEPT = 4
 
 
 @dataclass(frozen=True)
@@ -73,40 +73,59 @@ class Worths:
 
     def __init__(self, pool: PhotoPool, worth: Callable[[FloatArray], tuple[float, float]]) -> None:
         self.pool, self.worth = pool, worth
-        self._worst: dict[tuple[int, ...], tuple[float, float]] = {}
-        self._one_more: dict[tuple[tuple[int, ...], int], tuple[float, float]] = {}
+        self._known: dict[tuple[int, ...], tuple[float, float]] = {}
         self._joints: dict[tuple[int, ...], Joint] = {}
+
+    def alone(self, photos: Sequence[int]) -> tuple[float, float]:
+        """With these photos, none missing."""
+        key = tuple(sorted(photos))
+        if key not in self._known:
+            self._known[key] = self.worth(self.joint(photos).head)
+        return self._known[key]
+
+    def without(self, photos: Sequence[int], one: int, single: bool = False) -> tuple[float, float]:
+        """With these photos (sorted) but ``one`` of them; ``single``: the others will hardly be asked for."""
+        rest = tuple(p for p in photos if p != one)
+        if rest not in self._known:
+            if not rest:
+                head = self.pool.joint.head
+            elif single and tuple(photos) not in self._joints:
+                head = self.pool.head(rest)
+            else:
+                head = self.joint(photos).head_without(self.pool.rows[one])
+            self._known[rest] = self.worth(head)
+        return self._known[rest]
 
     def worst(self, photos: tuple[int, ...]) -> tuple[float, float]:
         """The larger of either with any one of the photos (sorted) missing."""
-        if photos not in self._worst:
-            if not photos:
-                self._worst[photos] = self.worth(self.pool.joint.head)
-            else:
-                with_all = self.pool.combined(photos)
-                each = [self.worth(with_all.without(a)) for a in range(len(photos))]
-                self._worst[photos] = (max(e[0] for e in each), max(e[1] for e in each))
-        return self._worst[photos]
+        each = [self.without(photos, one) for one in photos] or [self.alone(())]
+        return max(e[0] for e in each), max(e[1] for e in each)
 
     def one_more(
         self, photos: tuple[int, ...], i: int, joint: Callable[[], Joint] | None = None
     ) -> tuple[float, float]:
         """With ``photos`` and photo ``i``, none missing. ``joint``: how to come by that of ``photos``."""
-        if (photos, i) not in self._one_more:
+        key = tuple(sorted((*photos, i)))
+        if key not in self._known:
             now = self.joint(photos) if joint is None else joint()
-            self._one_more[photos, i] = self.worth(now.head_with(self.pool.rows[i]))
-        return self._one_more[photos, i]
+            self._known[key] = self.worth(now.head_with(self.pool.rows[i]))
+        return self._known[key]
 
-    def joint(self, photos: tuple[int, ...]) -> Joint:
+    def joint(self, photos: Sequence[int]) -> Joint:
         """Of the network with ``photos``; the last few are kept."""
-        if not photos:
+        key = tuple(sorted(photos))
+        if not key:
             return self.pool.joint
-        if photos not in self._joints:
-            made = self.joint(photos[:-1]).with_photo(self.pool.rows[photos[-1]])
+        if key not in self._joints:
+            before = tuple(sorted(photos[:-1]))
+            if before in self._joints or not before:
+                made = self.joint(before).with_photo(self.pool.rows[photos[-1]])
+            else:
+                made = self.pool.combined(key)
             while len(self._joints) >= _JOINTS_KEPT:
                 del self._joints[next(iter(self._joints))]
-            self._joints[photos] = made
-        return self._joints[photos]
+            self._joints[key] = made
+        return self._joints[key]
 
 
 def _never(one: int, other: int) -> bool:
@@ -129,17 +148,36 @@ class Search:
         alike: Callable[[int, int], bool] | None = None,
     ) -> None:
         self.alike = alike or _never
+        self._pain: dict[int, float] = {}
         self.worths, self.pool, self.detours, self.criterion = worths, worths.pool, detours, criterion
 
     def ratio(self, photos: Sequence[int]) -> float:
         """The criterion's ratio with the worst photo missing; infinite with too few of them."""
         key = tuple(sorted(photos))
-        if len(key) < self.criterion.least_photos or any(starmap(self.alike, combinations(key, 2))):
-            return math.inf
-        return self.criterion.ratio(self.worths.worst(key))
+        return self.criterion.ratio(self.worths.worst(key)) if self._eligible(key) else math.inf
 
-    def _one_ratio(self, head: FloatArray) -> float:
-        return self.criterion.ratio(self.worths.worth(head))
+    def none_missing(self, photos: Sequence[int]) -> float:
+        """The criterion's ratio with all of the photos: at most :meth:`ratio`, and found sooner."""
+        return self.criterion.ratio(self.worths.alone(photos))
+
+    def holds(self, photos: Sequence[int]) -> bool:
+        """Whether :meth:`ratio` is at most 1; no, as soon as one photo's absence shows it."""
+        key = tuple(sorted(photos))
+        return self._eligible(key) and self._robust(key)
+
+    def _eligible(self, key: tuple[int, ...]) -> bool:
+        return len(key) >= self.criterion.least_photos and not any(starmap(self.alike, combinations(key, 2)))
+
+    def _robust(self, key: tuple[int, ...]) -> bool:
+        if len(key) < 2:
+            return self.criterion.ratio(self.worths.worst(key)) <= 1.0
+        # First those that were missed most lately: mostly it is one of them.
+        in_order = sorted(key, key=lambda i: (-self._pain.get(i, 0.0), i))
+        for place, one in enumerate(in_order):
+            self._pain[one] = self.criterion.ratio(self.worths.without(key, one, place < 1))
+            if self._pain[one] > 1.0:
+                return False
+        return True
 
     def choice(self, photos: Sequence[int]) -> Choice:
         """A set of photos as a :class:`Choice`."""
@@ -152,11 +190,11 @@ class Search:
         Given up where that takes more than ``most_s`` or ``MOST_ADDED`` photos.
         """
         chosen = list(start)
-        now = self._one_ratio(self.worths.joint(tuple(chosen)).head)
+        now = self.none_missing(chosen)
         left = [i for i in range(len(self.pool)) if i not in chosen and not self._taken(i, chosen)]
         while left and len(chosen) < MOST_ADDED and self.detours.seconds(chosen) <= most_s:
             # With a photo missing it is worse still.
-            if now <= 1.0 and self.ratio(chosen) <= 1.0:
+            if now <= 1.0 and self.holds(chosen):
                 break
             cost = self.detours.insertion_s(chosen)
             after = {i: self._with_one(tuple(chosen), i) for i in left}
@@ -186,7 +224,7 @@ class Search:
             choice = better
 
     def _without_one(self, choice: Choice) -> Choice | None:
-        """The choice without its dearest dispensable photo; one decomposition serves all of them."""
+        """The choice without its dearest dispensable photo."""
         n = len(choice.photos)
         if n < 3 or n <= self.criterion.least_photos:
             return None
@@ -197,11 +235,18 @@ class Search:
         return None if first is None else self.choice(rest[first])
 
     def dispensable(self, photos: Sequence[int], order: Sequence[int] | None = None) -> Iterator[int]:
-        """Places in ``photos`` (looked at in ``order``) without which the criterion holds all the same."""
-        n = len(photos)
-        with_all = self.pool.combined(tuple(photos))
-        for a in range(n) if order is None else order:
-            if all(self._one_ratio(with_all.without(a, b)) <= 1.0 for b in range(n) if b != a):
+        """Places in ``photos`` (sorted; looked at in ``order``) without which the criterion still holds."""
+        key, limits = tuple(photos), self.criterion.ratio
+        # Hardly ever can the two go that are missed most.
+        most = max(key, key=lambda i: (limits(self.worths.without(key, i)), i))
+        without_most = tuple(p for p in key if p != most)
+        for a in range(len(key)) if order is None else order:
+            rest = tuple(p for p in key if p != key[a])
+            if (
+                limits(self.worths.without(key, key[a])) <= 1.0
+                and (key[a] == most or limits(self.worths.without(without_most, key[a])) <= 1.0)
+                and self._robust(rest)
+            ):
                 yield a
 
     def _with_another(self, choice: Choice) -> Choice | None:
@@ -216,10 +261,9 @@ class Search:
             for i in cheaper[:_LOOKED_AT]:
                 if self._taken(i, rest) or self.hopeless(choice.photos, one, i):
                     continue
-                if self.detours.seconds((*rest, i)) < choice.seconds - 0.05:
-                    found = self.choice((*rest, i))
-                    if found.good:
-                        return found
+                swapped = (*rest, i)
+                if self.detours.seconds(swapped) < choice.seconds - 0.05 and self.holds(swapped):
+                    return self.choice(swapped)
                 tried += 1
                 if tried == _TRIED:
                     break
@@ -240,11 +284,11 @@ class Search:
         Where none meets the criterion, the one that comes nearest to it.
         """
         found: list[Choice] = []
-        for one in sorted(sets, key=lambda s: (self.detours.seconds(s), tuple(s))):
-            found.append(self.choice(one))
-            # The others take longer.
-            if found[-1].good:
-                break
+        in_time = sorted(sets, key=lambda s: (self.detours.seconds(s), tuple(s)))
+        # The others take longer.
+        shortest = next((one for one in in_time if self.holds(one)), None)
+        if shortest is not None:
+            found.append(self.choice(shortest))
         # Small pools are searched from many first photos.
         firsts = sorted(range(len(self.pool)), key=lambda i: (self._with_one((), i), i))
         starts: list[tuple[int, ...]] = [(), *((i,) for i in firsts[: min(SMALL_POOL // len(firsts), 10)])]
@@ -254,6 +298,7 @@ class Search:
                 found.append(self.greedy(start, by_time, 1.5 * cheapest))
         good = sorted((c for c in found if c.good), key=lambda c: (c.seconds, c.photos))
         if not good:
+            found += [self.choice(one) for one in in_time]
             return min(found, key=lambda c: (c.ratio, c.seconds, c.photos))
         fewest = min(good, key=lambda c: (len(c.photos), c.seconds, c.photos))
         improved = [self.exchange(c) for c in dict.fromkeys([*good[: 1 + len(starts)], fewest])]

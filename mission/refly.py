@@ -11,6 +11,7 @@ import shapely
 
 from calib.brownfit import fit_brown
 from calib.camera import FloatArray
+from calib.errors import InputError
 from calib.flown_file import FlownCheck
 from calib.propagation import radial_px_covariance
 from mission.compose import return_height_m, way_home
@@ -93,7 +94,21 @@ class Refly:
 
 
 def refly(flown: FlownSite) -> Refly:
-    """The shortest pass that cures the block of ``flown`` inside its site's limits."""
+    """The shortest pass that cures the block of ``flown`` inside its site's limits.
+
+    Raises:
+        InputError: the block is too weak to be computed with.
+    """
+    try:
+        return _refly(flown)
+    except np.linalg.LinAlgError as error:
+        raise InputError(
+            "The block of these photos is too weak for a pass to be computed: fly the circle that the "
+            "check's report describes."
+        ) from error
+
+
+def _refly(flown: FlownSite) -> Refly:
     check, site, planned = flown.check, flown.site, flown.planned
     criterion = criterion_for(planned)
     return_m = return_height_of(flown)

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from itertools import islice
 
 import numpy as np
 import shapely
@@ -178,6 +179,7 @@ class PassSearch:
         self.cure_s: float | None = None
         self.shapes: list[tuple[tuple[int, ...], Shape]] = []
         self._found: dict[tuple[int, ...], Found] = {}
+        self._worths = Worths(self.candidates.pool, planned.worth)
 
     def fill(self) -> None:
         """Put every candidate that is allowed into the pool."""
@@ -215,8 +217,7 @@ class PassSearch:
 
     def search(self, criterion: Criterion) -> Search:
         """A search over the pool under another criterion."""
-        worths = Worths(self.candidates.pool, self.planned.worth)
-        return Search(worths, self.candidates.detours, criterion, self.alike)
+        return Search(self._worths, self.candidates.detours, criterion, self.alike)
 
     def best(self) -> Found | None:
         """The shortest pass that cures, or what comes nearest; None where no photo is allowed."""
@@ -272,9 +273,10 @@ class PassSearch:
             if len(pool) < len(rest):
                 break
             hunt = Search(Worths(pool, self.planned.worth), self.candidates.detours, self.criterion)
-            spare = hunt.dispensable(range(len(pool)))
-            fewer = [tuple(p for p in rest if p != rest[a]) for a in spare]
-            tried = sorted(fewer, key=lambda r: (self.candidates.detours.seconds(r), r))[:_TRIMS]
+            fewer = [tuple(p for p in rest if p != one) for one in rest]
+            cost = [self.candidates.detours.seconds(r) for r in fewer]
+            order = sorted(range(len(rest)), key=lambda a: (cost[a], fewer[a]))
+            tried = [fewer[a] for a in islice(hunt.dispensable(range(len(pool)), order), _TRIMS)]
             better = next((one for one in map(self.found, tried) if one.good), None)
             if better is None:
                 break
@@ -326,6 +328,8 @@ class PassSearch:
         for seconds, photos, _ in sorted(options, key=lambda o: (o[0], o[1])):
             if seconds > self.most_s:
                 break
+            if nearest is not None and hunt.none_missing(photos) > max(nearest[0], 1.05):
+                continue
             ratio = hunt.ratio(photos)
             if ratio <= 1.05 and self.found(photos).good:
                 return self.found(photos)
@@ -345,7 +349,7 @@ class PassSearch:
         dense = candidates.dense_pool(photos)
         without_count = replace(self.criterion, least_photos=0)
         check = Search(Worths(dense, planned.worth), candidates.detours, without_count)
-        with_all = dense.combined(tuple(range(len(dense)))).head
+        with_all = check.worths.joint(range(len(dense))).head
         q, factor = len(planned.f_gradient), planned.assumptions.model_error_factor
         order = candidates.detours.order(photos)[0]
         oblique = sum(

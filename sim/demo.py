@@ -202,7 +202,7 @@ class Demo:
                     process.kill()
 
     def wait_for_camera(self) -> None:
-        until = time.monotonic() + 120
+        until = time.monotonic() + LONGEST_S / 6
         while "ready" not in (said := (self.out / "camera.log").read_text(encoding="utf-8")):
             if time.monotonic() > until:
                 raise FieldcalError(f"The simulated camera is not ready: {said.strip()[-300:]}")

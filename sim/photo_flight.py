@@ -5,7 +5,7 @@ from __future__ import annotations
 import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from datetime import UTC, datetime, timedelta
 from pathlib import Path
 
@@ -29,7 +29,7 @@ class Card:
 
     ``drift_ppm``: how much the camera's clock gains since the vehicle's start. ``skip``: the vehicle's
     photos (counted from 0) for which no file appears. ``by_hand``: so many photos, written at first, that
-    no trigger belongs to.
+    no trigger belongs to. ``first``: number of the file of the vehicle's first photo.
     """
 
     folder: Path
@@ -39,14 +39,16 @@ class Card:
     whole_seconds: bool = False
     skip: frozenset[int] = frozenset()
     by_hand: int = 0
+    first: int = FIRST_NUMBER
     written: int = 0
+    lock: threading.RLock = field(default_factory=threading.RLock)
 
     def name(self, number: int) -> str:
         """Of the vehicle's photo, counted from 0."""
-        return f"DSC{number + FIRST_NUMBER:05d}.JPG"
+        return f"DSC{number + self.first:05d}.JPG"
 
     def number(self, path: Path | str) -> int:
-        return int(Path(path).stem[3:]) - FIRST_NUMBER
+        return int(Path(path).stem[3:]) - self.first
 
     def write_by_hand(self) -> None:
         """Test shots before the flight, some seconds apart."""
@@ -55,13 +57,15 @@ class Card:
             bare_photo(self.folder / f"DSC{n:05d}.JPG", self._moment(at_s), -n - 1, self.whole_seconds)
 
     def write_new(self) -> None:
-        for number, photo in enumerate(self.server.vehicle.photos[self.written :], start=self.written):
-            if number not in self.skip:
-                self._write(number, photo)
-            self.written = number + 1
+        with self.lock:
+            for number, photo in enumerate(self.server.vehicle.photos[self.written :], start=self.written):
+                if number not in self.skip:
+                    self._write(number, photo)
+                self.written = number + 1
 
     def _write(self, number: int, photo: PhotoTaken) -> None:
-        bare_photo(self.folder / self.name(number), self._moment(photo.boot_s), number, self.whole_seconds)
+        seed = self.first + number
+        bare_photo(self.folder / self.name(number), self._moment(photo.boot_s), seed, self.whole_seconds)
 
     def _moment(self, boot_s: float) -> datetime:
         """What the camera's clock shows so long after the vehicle's start."""
@@ -102,6 +106,19 @@ class PhotoFlight:
         if not pilot.arm(True) or pilot.start_mission() != 0:
             raise RuntimeError("The simulated vehicle does not start.")
         self.server.speed_up = speed_up
+
+    def change_battery(self, off_s: float) -> list[PhotoTaken]:
+        """The vehicle starts anew where it took off, at real time; the card's numbers go on.
+
+        Returns the photos taken until then.
+        """
+        with self.card.lock:
+            self.card.write_new()
+            before = self.server.vehicle.photos
+            self.server.speed_up = 1.0
+            self.server.power_cycle(off_s)
+            self.card.first, self.card.written = self.card.first + len(before), 0
+        return before
 
     def place_error(self, number: int, position: Position) -> tuple[float, float]:
         """Horizontal and vertical distance of a position from the truth of a photo, m."""

@@ -83,10 +83,10 @@ class Browser:
         os.close(self._write)
         os.close(self._read)
         try:
-            self._process.wait(30)
+            self._process.wait(60)
         except subprocess.TimeoutExpired:
             self._process.kill()
-            self._process.wait(30)
+            self._process.wait(60)
 
     def _attach(self) -> None:
         targets = self.call("Target.getTargets")["targetInfos"]

@@ -13,8 +13,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.pairing_flights import cut, flight
-from daemon.capture.alignment import LOG_END, Cells, align, log_jump
+from daemon.capture.alignment import Cells, align, possible_pairs
 from daemon.capture.pairing import pair, renew, update, without_repeats
+from daemon.capture.paths import LOG_END, log_jump, path_sums
 from daemon.capture.records import KnownClock, Shot, Trigger
 
 EQUAL_S = 300 + 2.0 * np.arange(80)
@@ -41,6 +42,23 @@ def test_sums_equal_the_enumeration_of_all_alignments(n_t: int, n_p: int, seed: 
     got = align(Cells(i, j, weight.ravel()), n_t, n_p)
     assert got.probability == pytest.approx((joint / total).ravel(), abs=1e-9)
     assert got.log_evidence == pytest.approx(np.log(total) - LOG_END * (n_t + n_p), abs=1e-9)
+
+
+def test_sums_over_a_long_band_equal_each_path_added_up() -> None:
+    """Weights that grow beyond what a float holds, rows of losses on either side, narrow windows."""
+    rng = np.random.default_rng(3)
+    trigger_s = np.delete(np.cumsum(rng.uniform(0.5, 2.0, 260)), np.s_[60:75])
+    photo_s = np.delete(np.cumsum(rng.uniform(0.5, 2.0, 250)), np.s_[140:170])
+    i, j = possible_pairs(trigger_s, photo_s, np.zeros(len(photo_s)), 2.5)
+    weight = rng.normal(4, 6, len(i))
+    out = np.empty(len(i))
+    for k in range(len(i)):
+        h, g = i[k] - i[:k] - 1, j[k] - j[:k] - 1
+        earlier = np.flatnonzero((h >= 0) & (g >= 0))
+        jumps = [log_jump(int(h[n]), int(g[n])) for n in earlier]
+        out[k] = weight[k] + np.logaddexp.reduce([LOG_END * (i[k] + j[k]), *(out[earlier] + jumps)])
+    assert out.max() > 1000
+    assert path_sums(i, j, weight) == pytest.approx(out, abs=1e-8)
 
 
 @pytest.mark.parametrize("resolution_s", [1.0, 0.01])
@@ -124,6 +142,38 @@ def test_equal_intervals_are_not_called_sure(resolution_s: float, drop: float) -
         right, wrong, there = judge(flight, settled)
         assert right >= 0.9 * there
         assert wrong == 0
+
+
+def test_a_line_whose_odd_steps_are_sums_of_another_lines_is_not_called_sure() -> None:
+    """The link is cut in the second of two lines that were flown alike to the hundredth of a second.
+
+    The triggers of the first line fit six photos of the second, odd steps among them, and eight of their own.
+    """
+    first_line = [24.26, 27.56, 30.02, 32.48, 34.94, 37.40, 39.86, 43.08]
+    cut_off = [53.12, 58.88, 61.34, 63.80, 68.72, 71.94, 77.30, 88.08]
+    triggers = [Trigger(k, at_s, image_index=k) for k, at_s in enumerate(first_line)]
+    triggers.append(Trigger(16, 98.86, image_index=16))
+    times_s = [*first_line[1:], *cut_off, 98.86]
+    shots = [Shot(f"DSC{18 + k:05d}.JPG", 5e5 + at_s, 0.01, 18 + k) for k, at_s in enumerate(times_s)]
+    truth = {shot.name: k + 1 for k, shot in enumerate(shots)}
+    blind = pair(triggers, shots)
+    assert all(truth[p.shot.name] == p.trigger.key for p in blind.sure_pairs)
+    assert blind.sure_pairs or blind.ambiguous
+    anchored = pair(triggers, shots, anchors=[(3, shots[2].name)])
+    assert 7 <= len(anchored.sure_pairs) <= 8
+    assert all(truth[p.shot.name] == p.trigger.key for p in anchored.sure_pairs)
+
+
+def test_a_clock_that_drifts_as_none_does_is_not_believed() -> None:
+    """Steps of 1.01 s and whole seconds: a fit of 480 ppm slips by one photo within the flight."""
+    one = flight(1788)
+    result = pair(one.triggers, cut(one.shots, 1.0))
+    wrong = [p for p in result.sure_pairs if one.truth.get(p.shot.name) != p.trigger.key]
+    assert len(wrong) <= 1
+    assert result.sure_pairs or result.ambiguous
+    sharp = pair(one.triggers, cut(one.shots, 0.01))
+    assert len(sharp.sure_pairs) >= 480
+    assert all(one.truth.get(p.shot.name) == p.trigger.key for p in sharp.sure_pairs)
 
 
 def test_late_photos_join_without_disturbing_sure_pairs() -> None:

@@ -25,7 +25,7 @@ def made(given: Campaign, camera: BrownCamera, sigma_px: float) -> ControlCalibr
 
 
 def test_decentring_that_was_left_out_is_in_the_principal_points_sigma() -> None:
-    """The thermal lens has decentring that its few marks cannot prove; held at none it moves cx 5 sigma."""
+    """The thermal lens has decentring that few marks cannot prove; held at none it moves cx by 5 sigma."""
     orbit = fly("thermal add6", 2)
     found = made(campaign(orbit, TARGET_M), orbit.camera, 0.5)
     assert "p1" not in free_parameters(found)

@@ -40,7 +40,9 @@ def test_refly_then_trust(tmp_path: Path, flavour: Flavour) -> None:
     # The photos are those that the vehicle was told to take.
     assert len(list((tmp_path / "tether").glob("*.JPG"))) == second["alignment"]["photos"]
     assert "The pilot has armed" in said.getvalue()
-    assert len(list((tmp_path / "kept-missions").iterdir())) == 1
+    # The vehicle's missions before the survey (none) and before the pass (the survey's).
+    assert len(list((tmp_path / "kept-missions").glob("*.json"))) == 2
+    assert len(list((tmp_path / "kept-missions").glob("*.waypoints"))) == 1
 
 
 def test_a_map_of_characters() -> None:

@@ -255,7 +255,7 @@ def test_px4_sends_whole_parameters_as_bits() -> None:
 
 
 def test_a_restart_begins_the_clocks_anew() -> None:
-    """A late message is no restart."""
+    """Late messages are no restart, however late and however many: newer ones come among them."""
     packer, state, events = Packer(1, 1), LinkState(), list[ev.Event]()
 
     def hear(message: object, at_s: float) -> None:
@@ -265,13 +265,22 @@ def test_a_restart_begins_the_clocks_anew() -> None:
             events.extend(found)
 
     hear(mavlink.MAVLink_heartbeat_message(2, 3, 1, 0, 3, 3), 1000.0)
-    for boot_s in (100, 101, 99, 102, 3, 4):
-        hear(
-            mavlink.MAVLink_system_time_message(1_780_000_000_000_000 + boot_s * 10**6, boot_s * 1000), 1000.0
-        )
+
+    def read(boot_s: float, at_s: float, started_s: float = 1_780_000_000.0) -> None:
+        utc_us, boot_ms = round((started_s + boot_s) * 1e6), round(boot_s * 1e3)
+        hear(mavlink.MAVLink_system_time_message(utc_us, boot_ms), at_s)
+
+    shuffled = random.Random(1).sample(range(900, 1300), 400)
+    for place, tenths in enumerate(shuffled):  # 40 s of messages, held up and let go at once
+        read(tenths / 10, 1000.0 + (0.002 if place % 40 else 0.6) * place)  # and read with halts
+    read(130.0, 1300.0)
+    assert state.boots == 1
+    assert state.time_base.boot_of_utc(1_780_000_131.0) == pytest.approx(131.0)
+    for boot_s in (2.0 + 0.2 * n for n in range(12)):
+        read(boot_s, 1310.0 + boot_s, 1_780_000_130.0)
     assert state.boots == 2
     assert [e for e in events if isinstance(e, ev.VehicleRestarted)] == [ev.VehicleRestarted(2)]
-    assert state.time_base.boot_of_utc(1_780_000_004.0) == pytest.approx(4.0)
+    assert state.time_base.boot_of_utc(1_780_000_134.0) == pytest.approx(4.0)
 
 
 @pytest.mark.parametrize("flavour", encode.FLAVOURS)

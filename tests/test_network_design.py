@@ -196,8 +196,12 @@ def test_taking_a_photo_away_undoes_adding_it(seed: int, gone: int) -> None:
     assert np.diag(back.head) == pytest.approx(np.diag(others.head), rel=1e-6)
     pool = PhotoPool(joint, rows)
     together = pool.combined((0, 1, 2, 3))
-    assert np.diag(together.without(gone)) == pytest.approx(np.diag(others.head), rel=1e-6)
+    assert np.diag(together.head_without(rows[gone])) == pytest.approx(np.diag(others.head), rel=1e-6)
     assert np.diag(together.head) == pytest.approx(np.diag(others.with_photo(rows[gone]).head), rel=1e-6)
+    assert pool.head((0, 1, 2, 3)) == pytest.approx(together.head, rel=1e-6, abs=1e-12)
+    whole = others.with_photo(rows[gone]).covariance
+    size = np.sqrt(np.diag(whole))
+    assert np.abs((together.covariance - whole) / np.outer(size, size)).max() < 1e-5
     # One more photo never makes anything less certain.
     assert (np.diag(together.head) <= np.diag(others.head) * (1 + 1e-9)).all()
 

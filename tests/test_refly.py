@@ -377,6 +377,17 @@ def test_without_places_the_reason_is_given(case: FlownSite, tmp_path: Path) -> 
         flown_site(lost, SiteFile())
 
 
+def test_a_block_that_cannot_be_computed_with_is_said_in_a_sentence(
+    case: FlownSite, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def singular(_: PassSearch) -> None:
+        raise np.linalg.LinAlgError
+
+    monkeypatch.setattr(PassSearch, "fill", singular)
+    with pytest.raises(InputError, match=r"too weak .* fly the circle"):
+        refly(case)
+
+
 def test_a_far_launch_point_is_questioned(case: FlownSite) -> None:
     with pytest.raises(FieldcalError, match="is it right"):
         _with(case, launch=[51.5, -0.1])

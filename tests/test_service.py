@@ -14,17 +14,23 @@ import threading
 import time
 from datetime import UTC, datetime
 from pathlib import Path
+from types import SimpleNamespace
+from typing import Any
 
 import pytest
 import typer
 
 from benchmarks.processes import wait_for
 from calib.errors import FormatError
+from calib.findings import Verdict
 from calib.photos.photo import Photo
+from daemon import run_rounds
 from daemon.cli_run import run_command
 from daemon.config_file import read_options
 from daemon.live.schemas import Capture, Status
 from daemon.notify import Notifier
+from daemon.refly_offer import Pass
+from daemon.run_screen import Screen
 from sim.survey import SurveyTruth
 from tests.check_process import ended, started
 
@@ -166,6 +172,48 @@ def test_without_systemd_and_with_a_deaf_one(tmp_path: Path) -> None:
     with Manager(str(tmp_path / "n")) as end, Notifier(another) as notifier:
         notifier.tell(CAPTURE)
         assert "WATCHDOG=1" not in end.new()
+
+
+def test_long_work_gives_signs_of_life_but_not_for_ever(tmp_path: Path) -> None:
+    environment = {"NOTIFY_SOCKET": str(tmp_path / "n"), "WATCHDOG_USEC": "80000"}
+
+    def beating() -> bool:
+        return any(thread.name == "signs of life" for thread in threading.enumerate())
+
+    with Manager(str(tmp_path / "n")) as end, Notifier(environment) as notifier:
+        with notifier.busy(60.0):
+            for _ in range(4):
+                assert end.until("WATCHDOG=1", 30) == ["WATCHDOG=1"]
+        assert not beating()
+        end.new()
+        with notifier.busy(0.1):
+            wait_for(lambda: not beating(), 30)
+            heard = end.new()
+            assert set(heard) == {"WATCHDOG=1"}
+            assert len(heard) <= 6
+    with Notifier({}) as notifier, notifier.busy(60.0):
+        assert not beating()
+
+
+def test_the_search_for_a_pass_gives_signs_of_life(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """However long it takes; and so does the offer to a vehicle that is waited for."""
+    environment = {"NOTIFY_SOCKET": str(tmp_path / "n"), "WATCHDOG_USEC": "80000"}
+    screen = Screen(talkative=False, hidden=True)
+    result = SimpleNamespace(verdict=Verdict.REFLY)
+    with Manager(str(tmp_path / "n")) as end, Notifier(environment) as notifier:
+
+        def long(*_: object) -> Pass:
+            for _ in range(3):
+                end.until("WATCHDOG=1", 30)
+            return Pass("found", 3)
+
+        monkeypatch.setattr(run_rounds, "find_pass", long)
+        monkeypatch.setattr(run_rounds, "offer", long)
+        wishes = run_rounds.Wishes(offer_refly=True, yes=True)
+        parts: list[Any] = [None, None, None, screen, wishes, "one", notifier.tell, notifier.busy]
+        assert run_rounds.Rounds(*parts)._extra_pass(result) == Pass("found", 3)  # type: ignore[arg-type]
+        parts[2] = SimpleNamespace(launch=None, flavour="px4")
+        assert run_rounds.Rounds(*parts)._uploaded(Pass("found", 3))
 
 
 def test_flight_after_flight_as_a_service(site: Site, tmp_path: Path) -> None:

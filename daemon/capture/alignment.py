@@ -16,24 +16,20 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.special import ndtr
 
-FloatArray = NDArray[np.float64]
-IntArray = NDArray[np.int64]
+from daemon.capture.paths import LOG_END, FloatArray, IntArray, path_sums
 
-P_MATCH, P_GAP, P_END_GAP = 0.88, 0.06, 0.6
-LOG_PAIR = float(np.log(P_MATCH / P_GAP**2))
-LOG_END = float(np.log(P_END_GAP / P_GAP))
-#: For each further trigger or photo that is lost in a row, while at most so many are lost on the other side.
-LOG_ROW, ROW_OTHERS = 0.85 * LOG_END, 1
 #: Share and width of pairs that are far later or earlier than the jitter says.
 TAIL_SHARE, TAIL_SIGMA_S = 0.1, 0.2
 
 
 @dataclass(frozen=True)
 class Cells:
-    """Possible pairs, by trigger and then photo: indices (m,), log weights (m,)."""
+    """Possible pairs, by trigger and then photo: indices (m,), log weights (m,).
+
+    Neither the first nor the last photo of a trigger is before that of an earlier trigger.
+    """
 
     trigger: IntArray
     photo: IntArray
@@ -71,7 +67,7 @@ def log_density(early_s: FloatArray, resolution_s: FloatArray, sigma_s: FloatArr
         upper, lower = (early_s + resolution_s) / sigma, early_s / sigma
         # The upper tail by symmetry, where differences of values near 1 lose their digits.
         flip = lower > 0
-        mass = np.where(flip, ndtr(-lower) - ndtr(-upper), ndtr(upper) - ndtr(lower))
+        mass = ndtr(np.where(flip, -lower, upper)) - ndtr(np.where(flip, -upper, lower))
         density: FloatArray = mass / resolution_s
         return density
 
@@ -93,75 +89,19 @@ def coincident(cells: Cells) -> FloatArray:
     return both
 
 
-def log_jump(triggers: int, photos: int) -> float:
-    """Log weight of so many lone triggers and photos between two pairs, against each being lost by itself."""
-    if min(triggers, photos) > ROW_OTHERS or max(triggers, photos) <= ROW_OTHERS:
-        return 0.0
-    return float(np.logaddexp(0.0, LOG_ROW * (max(triggers, photos) - 1)))
-
-
 def align(cells: Cells, n_triggers: int, n_photos: int) -> Aligned:
     """Sum over all monotone alignments; cells sorted by trigger, photos (n_p,) sorted by time."""
     if not len(cells.trigger):
         return Aligned(0.0, np.zeros(0))
-    forward = _sweep(cells.trigger, cells.photo, cells.log_weight, n_photos)
+    forward = path_sums(cells.trigger, cells.photo, cells.log_weight)
     # Backwards in time the same sums, with both sequences reversed.
-    backward = _sweep(
-        n_triggers - 1 - cells.trigger[::-1],
-        n_photos - 1 - cells.photo[::-1],
-        cells.log_weight[::-1],
-        n_photos,
+    backward = path_sums(
+        n_triggers - 1 - cells.trigger[::-1], n_photos - 1 - cells.photo[::-1], cells.log_weight[::-1]
     )[::-1]
-    trailing = LOG_END * ((n_triggers - 1 - cells.trigger) + (n_photos - 1 - cells.photo))
-    log_paths = float(np.logaddexp.reduce(forward + trailing))
     # A path's weight in a cell is in both sweeps: take it out once.
     log_joint = forward + backward - cells.log_weight
-    # No pair at all: every trigger and every photo is a gap, at the ends' price.
+    trailing = LOG_END * ((n_triggers - 1 - cells.trigger) + (n_photos - 1 - cells.photo))
+    # Or no pair at all: every trigger and every photo is a gap, at the ends' price.
     nothing = LOG_END * (n_triggers + n_photos)
-    total = float(np.logaddexp(log_paths, nothing))
+    total = float(np.logaddexp(np.logaddexp.reduce(forward + trailing), nothing))
     return Aligned(total - nothing, np.exp(np.minimum(log_joint - total, 0.0)))
-
-
-def _sweep(trigger: IntArray, photo: IntArray, log_weight: FloatArray, n_photos: int) -> FloatArray:
-    """log F of each cell (m,): all paths that end in it, its own weight included."""
-    out = np.empty(len(trigger))
-    # sums[j]: paths over earlier triggers whose last photo is before j, divided by exp(scale).
-    sums, scale = np.zeros(n_photos + 1), -np.inf
-    # columns[j]: paths that end at photo j, and at a trigger more than ROW_OTHERS back: log F less
-    # LOG_ROW times its trigger. recent: trigger, photos and log F of the rows that are not.
-    columns = np.full(n_photos, -np.inf)
-    recent: list[tuple[int, IntArray, FloatArray]] = []
-    reached = -1
-    bounds = np.flatnonzero(np.diff(trigger)) + 1
-    for start, stop in zip(
-        np.concatenate([[0], bounds]).tolist(), [*bounds.tolist(), len(trigger)], strict=True
-    ):
-        row, photos, weights = int(trigger[start]), photo[start:stop], log_weight[start:stop]
-        leading = LOG_END * (row + photos)
-        if scale == -np.inf:
-            scale = float(leading.max())
-        with np.errstate(divide="ignore"):
-            before = np.logaddexp(np.log(sums[photos]) + scale, leading)
-        while recent and row - recent[0][0] - 1 > ROW_OTHERS:
-            past, earlier, log_paths = recent.pop(0)
-            columns[earlier] = np.logaddexp(columns[earlier], log_paths - LOG_ROW * past)
-            reached = max(reached, int(earlier[-1]))
-        for _, earlier, log_paths in recent:
-            if photos[-1] - earlier[0] - 1 > ROW_OTHERS:
-                alone = photos[:, None] - earlier - 1
-                rows = np.where(alone > ROW_OTHERS, log_paths + LOG_ROW * (alone - 1), -np.inf)
-                before = np.logaddexp(before, np.logaddexp.reduce(rows, axis=1))
-        for back in range(1, ROW_OTHERS + 2):
-            if back <= photos[-1] and photos[0] - back <= reached:
-                found = np.where(photos >= back, columns[np.maximum(photos - back, 0)], -np.inf)
-                before = np.logaddexp(before, found + LOG_ROW * (row - 2))
-        log_f = weights + before
-        out[start:stop] = log_f
-        recent.append((row, photos, log_f))
-        peak = float(log_f.max())
-        if peak > scale + 200.0:
-            sums *= np.exp(max(scale - peak, -700.0))
-            scale = peak
-        for j, value in zip(photos.tolist(), np.exp(log_f - scale).tolist(), strict=True):
-            sums[j + 1 :] += value
-    return out

@@ -6,11 +6,13 @@ are many, each shifted by one interval, and only their weights together are hone
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
+from math import sqrt
 
 import numpy as np
 
-from daemon.capture.alignment import LOG_PAIR, Cells, FloatArray, IntArray, log_density, possible_pairs
+from daemon.capture.alignment import Cells, log_density, possible_pairs
+from daemon.capture.paths import LOG_PAIR, FloatArray, IntArray
 from daemon.capture.records import KnownClock
 
 #: Drift of a camera's clock against the vehicle's, beforehand.
@@ -20,7 +22,7 @@ MIN_JITTER_S, START_JITTER_S, MAX_JITTER_S = 0.01, 0.15, 0.4
 _LATE_S = 0.1
 _MAX_SCREENED, _MAX_KEPT, _KEEP_NATS = 60, 9, 60.0
 #: Differences counted in the offset search at most: thinner triggers beyond.
-_MAX_DIFFERENCES = 2_000_000
+_MAX_DIFFERENCES = 500_000
 
 
 @dataclass(frozen=True)
@@ -127,15 +129,19 @@ def _screen(times: Times, offset_s: float) -> tuple[float, Clock]:
         cells = Cells(trigger, photo[trigger], np.zeros(len(trigger)))
         weight = weigh(times, clock, cells.trigger, cells.photo)
         score = float(np.maximum(weight, 0.0).sum())
-        clock = fit(times, cells, (weight > 0).astype(float), clock)
+        moved = fit(times, cells, (weight > 0).astype(float), clock)
+        if moved is clock:  # nothing fits: so it stays
+            break
+        clock = moved
     return score, clock
 
 
 def _nearest(values: FloatArray, ordered: FloatArray) -> IntArray:
     """Index (n,) into ordered (m,) of what is nearest to each value (n,)."""
-    right = np.clip(np.searchsorted(ordered, values), 1, max(len(ordered) - 1, 1))
-    left_is_nearer = values - ordered[right - 1] < ordered[np.minimum(right, len(ordered) - 1)] - values
-    nearest: IntArray = np.where(left_is_nearer | (len(ordered) == 1), right - 1, right)
+    if len(ordered) == 1:
+        return np.zeros(len(values), dtype=np.int64)
+    right = np.minimum(np.maximum(np.searchsorted(ordered, values), 1), len(ordered) - 1)
+    nearest: IntArray = right - (values - ordered[right - 1] < ordered[right] - values)
     return nearest
 
 
@@ -169,25 +175,30 @@ def fit(times: Times, cells: Cells, probability: FloatArray, clock: Clock) -> Cl
     cut = resolution**2 / 12
     residual = times.photo_s[j] + resolution / 2 - t
     # Far pairs count less, so that a late trigger does not pull the clock (Huber).
-    scale = np.sqrt(clock.jitter_s**2 + own**2 + cut)
-    off = np.abs(residual - clock.offset_s - clock.drift * t) / scale
-    weight = p / scale**2 / np.maximum(off / 2.0, 1.0)
-    normal = np.array([[weight.sum(), weight @ t], [weight @ t, weight @ t**2 + DRIFT_SIGMA**-2]])
-    offset, drift = np.linalg.solve(normal, [weight @ residual, (weight * residual) @ t])
-    left = residual - offset - drift * t
-    squares = np.minimum(left**2, 9 * scale**2)
+    variance = clock.jitter_s**2 + own**2 + cut
+    off = np.abs(residual - clock.offset_s - clock.drift * t) / np.sqrt(variance)
+    weight = p / variance / np.maximum(off / 2.0, 1.0)
+    # Normal equations of offset and drift, two by two.
+    weighted = weight * residual
+    n_oo, n_od = float(weight.sum()), float(weight @ t)
+    n_dd = float((weight * t) @ t) + DRIFT_SIGMA**-2
+    right_o, right_d, determinant = float(weighted.sum()), float(weighted @ t), n_oo * n_dd - n_od**2
+    offset, drift = (
+        (n_dd * right_o - n_od * right_d) / determinant,
+        (n_oo * right_d - n_od * right_o) / determinant,
+    )
+    squares = np.minimum((residual - offset - drift * t) ** 2, 9 * variance)
     # One pair says nothing about the spread: three pairs' worth of belief in the starting jitter.
-    jitter2 = (p @ (squares - cut - own**2) + 3 * 0.05**2) / (p.sum() + 3)
+    pairs = float(p.sum())
+    jitter2 = (float(p @ (squares - cut - own**2)) + 3 * 0.05**2) / (pairs + 3)
     # Where readings are cut to whole seconds, the little that is left of the variance is noise of its own.
     floor = max(MIN_JITTER_S, 0.05 * float(resolution.max()))
-    covariance = np.linalg.inv(normal)
     # How badly the clock fits beyond its own model widens its sigmas.
-    worse = max(1.0, float(weight @ squares) / max(float(p.sum()) - 2, 1.0))
-    return replace(
-        clock,
-        offset_s=float(offset),
-        drift=float(drift),
-        jitter_s=float(np.sqrt(np.clip(jitter2, floor**2, MAX_JITTER_S**2))),
-        offset_sigma_s=float(np.sqrt(covariance[0, 0] * worse)),
-        drift_sigma=float(np.sqrt(covariance[1, 1])),
+    worse = max(1.0, float(weight @ squares) / max(pairs - 2, 1.0))
+    return Clock(
+        offset,
+        drift,
+        sqrt(min(max(jitter2, floor**2), MAX_JITTER_S**2)),
+        sqrt(n_dd / determinant * worse),
+        sqrt(n_oo / determinant),
     )

@@ -7,7 +7,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from daemon.capture.alignment import LOG_PAIR, P_GAP, Aligned, Cells, FloatArray, align, coincident
+from daemon.capture.alignment import Aligned, Cells, align, coincident
 from daemon.capture.clocks import (
     DRIFT_SIGMA,
     MAX_JITTER_S,
@@ -18,6 +18,7 @@ from daemon.capture.clocks import (
     fit,
     log_density_alone,
 )
+from daemon.capture.paths import LOG_PAIR, P_GAP, FloatArray
 from daemon.capture.records import Alternative, ClockFit, KnownClock, Pair, Pairing, Shot, Trigger
 
 #: Within this the same image index means the same message sent again.
@@ -30,8 +31,12 @@ _COARSE_STEPS = 4.0
 #: So many triggers beside as many photos without each other speak against a clock.
 _BOTH_ALONE = 2
 _FITS, _NOT_TWICE = float(np.log(20.0)), float(np.log(100.0))
+#: No camera's clock drifts by more; a fit that does pairs one step off from somewhere on.
+_MOST_DRIFT = 3 * DRIFT_SIGMA
 #: An intervalometer keeps its time so well over a whole flight; no aircraft does.
 _ON_TIME_S = 0.08
+#: A clock that pairs as many photos, and to within so many times the jitter, is not dismissed: this likely.
+_AS_SHARP, _NOT_DISMISSED = 1.5, float(np.log(0.05))
 #: So many photos' worth of belief in the loss assumed beforehand.
 _BELIEF = 5.0
 _INDEX_DISAGREES = float(np.log(0.1))
@@ -85,6 +90,8 @@ def pair(
     step_s = _constant_step_s(times.trigger_s) if known is None else None
     if step_s is not None:
         weights = weights / 3
+    if known is None and abs(fits[0][1].drift) > _MOST_DRIFT:
+        weights = weights / 2
     joint: dict[tuple[int, int], float] = {}
     for weight, (_, _, cells, aligned) in zip(weights.tolist(), fits, strict=True):
         for i, j, p in zip(
@@ -234,9 +241,9 @@ def _refine(times: Times, clock: Clock, counters: FloatArray, known: KnownClock 
         if settled:
             break
     cells = cells_of(times, clock)
-    aligned = align(cells, n_t, n_p)
-    objection = _counter_objection(counters[cells.trigger, 0], counters[cells.photo, 1], aligned)
-    if objection.any():
+    count, order = counters[cells.trigger, 0], counters[cells.photo, 1]
+    if np.isfinite(count).any():
+        objection = _counter_objection(count, order, align(cells, n_t, n_p))
         cells = replace(cells, log_weight=cells.log_weight + objection)
     # Of photos and triggers that fit each other singly, those that no alignment joins speak against a clock.
     fitting = coincident(cells)
@@ -390,4 +397,19 @@ def _cautious(fits: list[_Fit], n_photos: int) -> list[_Fit]:
         chance2 = float(len(gap) * np.var(gap)) if len(gap) else 0.0
         believed = common**3 / (common**2 + 4 * chance2) if common else 0.0
         out.append((value + common - believed, clock, cells, aligned))
-    return sorted(out, key=lambda one: -one[0])
+    best, *others = sorted(out, key=lambda one: -one[0])
+    return [best, *sorted((_heeded(other, best) for other in others), key=lambda one: -one[0])]
+
+
+def _heeded(other: _Fit, best: _Fit) -> _Fit:
+    """Another clock, its log evidence raised where it explains as many pairs as well as the best does.
+
+    Survey lines are alike to a hundredth of a second: where photos are missing in one and triggers in the
+    next, an odd interval of the one may be the sum of two of the other, which speaks loudly for a clock that
+    is a line off. The right clock then is not likelier, but it pairs more.
+    """
+    value, clock, _, aligned = other
+    likely, most = (float((fit[3].probability > 0.5).sum()) for fit in (other, best))
+    if value > 0 and likely >= most and clock.jitter_s <= _AS_SHARP * best[1].jitter_s:
+        value = max(value, best[0] + _NOT_DISMISSED)
+    return value, clock, other[2], aligned

@@ -19,8 +19,11 @@ from daemon.link.wire import GROUND_STATION, SYSTEM_ID, Frame
 E = TypeVar("E", bound=ev.Event)
 #: Without a heartbeat for this long the vehicle counts as gone.
 SILENT_S = 3.5
-#: A boot time that falls back by more than this is another boot, not a late message.
-RESTART_S = 5.0
+#: A boot time that falls back by more than this is another boot, once so many messages in a row, over so
+#: long, say so and go on from there. Messages that were held up somewhere come in no order, or among newer.
+RESTART_S, RESTART_MESSAGES, RESTART_STAYS_S = 5.0, 8, 0.5
+#: By so much messages of one clock may come out of order.
+_SHUFFLED_S = 1.0
 _AUTOPILOT_COMPONENT = 1
 #: Questions of ours that may still be answered.
 _MOST_QUESTIONS = 32
@@ -34,6 +37,15 @@ class Heard:
 
     at_s: float
     event: ev.Event
+
+
+@dataclass(frozen=True)
+class _Behind:
+    """Messages of a clock that is behind the vehicle's: since when, its newest time, how many in a row."""
+
+    since_s: float
+    boot_s: float
+    count: int = 1
 
 
 @dataclass(frozen=True)
@@ -53,6 +65,7 @@ class LinkState:
     boots: int = 1
     counts: Mapping[str, int] = field(default_factory=dict)
     _boot_s: float | None = None
+    _behind: _Behind | None = None
     _asked_ns: tuple[int, ...] = ()
 
     def last(self, kind: type[E]) -> E | None:
@@ -113,13 +126,9 @@ class LinkState:
     def _with(self, event: ev.Event, frame: Frame, at_s: float) -> tuple[LinkState, tuple[ev.Event, ...]]:
         state, before = self, tuple[ev.Event, ...]()
         if isinstance(event, _TIMED) and frame.component_id == _AUTOPILOT_COMPONENT:
-            boot_s = event.vehicle_boot_s
-            if state._boot_s is not None and boot_s < state._boot_s - RESTART_S:
-                restarted = ev.VehicleRestarted(state.boots + 1)
-                state = replace(state, boots=state.boots + 1, time_base=TimeBase(), _boot_s=boot_s)
-                before = (restarted,)
-            else:
-                state = replace(state, _boot_s=max(boot_s, state._boot_s or 0.0))
+            state = state._at_boot(event.vehicle_boot_s, at_s)
+            if state.boots > self.boots:
+                before = (ev.VehicleRestarted(state.boots),)
         if isinstance(event, ev.TimeSync):
             state = state._timesync(event, frame, at_s)
         elif isinstance(event, ev.SystemTime):
@@ -128,6 +137,18 @@ class LinkState:
         elif isinstance(event, ev.Parameter):
             state = replace(state, parameters={**state.parameters, event.name: event.value})
         return replace(state, latest={**state.latest, type(event): event}), (*before, event)
+
+    def _at_boot(self, boot_s: float, at_s: float) -> LinkState:
+        """The vehicle's clock was read; one boot more where it started anew."""
+        if self._boot_s is None or boot_s >= self._boot_s - RESTART_S:
+            return replace(self, _boot_s=max(boot_s, self._boot_s or 0.0), _behind=None)
+        behind = self._behind
+        if behind is None or boot_s < behind.boot_s - _SHUFFLED_S:
+            return replace(self, _behind=_Behind(at_s, boot_s))
+        behind = _Behind(behind.since_s, max(boot_s, behind.boot_s), behind.count + 1)
+        if behind.count < RESTART_MESSAGES or at_s - behind.since_s < RESTART_STAYS_S:
+            return replace(self, _behind=behind)
+        return replace(self, boots=self.boots + 1, time_base=TimeBase(), _boot_s=behind.boot_s, _behind=None)
 
     def _timesync(self, event: ev.TimeSync, frame: Frame, at_s: float) -> LinkState:
         """Answers to another station's questions are heard as well: only ours count."""

@@ -7,6 +7,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable
+from dataclasses import replace
 from typing import Any
 
 from sim.vehicle.dialect import MavMessage, mavlink
@@ -41,7 +42,8 @@ class VehicleServer:
         clock: Callable[[], float] = time.monotonic,
     ) -> None:
         faults = faults or Faults()
-        self.vehicle = Vehicle(options, random.Random(seed), faults)
+        self._rng, self._faults = random.Random(seed), faults
+        self.vehicle = Vehicle(options, self._rng, faults)
         self.speed_up = speed_up
         self.dropped = 0
         self._address, self._camera = address, camera
@@ -63,6 +65,17 @@ class VehicleServer:
     def __exit__(self, *_: object) -> None:
         self.stop()
         self._thread.join(5)
+
+    def power_cycle(self, off_s: float) -> None:
+        """A battery out and the next one in, ``off_s`` later: clock, numbers and streams begin anew; what is
+        stored stays."""
+        before = self.vehicle
+        boot_utc_s = before.options.boot_utc_s + before.boot_s + off_s
+        after = Vehicle(replace(before.options, boot_utc_s=boot_utc_s), self._rng, self._faults)
+        after.transfer.stored = before.transfer.stored
+        after.link_s = before.link_s
+        self._poses_told = 0
+        self.vehicle = after
 
     def stop(self) -> None:
         self._stop.set()
