@@ -230,13 +230,13 @@ def page(rows: Sequence[Row]) -> str:
         "Accepted: what fieldcal would keep as a reference (f known to 0.05 %; of the thermal camera to a "
         f"pixel of its own, {reference_limit_percent(640):.2f} %).",
         "",
-        "| calibration | error, rms % | largest % | within 0.02 % | sigma, median % | accepted |",
-        "|---|---|---|---|---|---|",
+        "| calibration | seeds | error, rms % | largest % | within 0.02 % | sigma, median % | accepted |",
+        "|---|---|---|---|---|---|---|",
     ]
     for case, mine in parts.items():
         f = np.array([row.f_percent for row in mine])
         lines.append(
-            f"| {case} | {_rms(f):.4f} | {np.abs(f).max():.4f} | "
+            f"| {case} | {len(mine)} | {_rms(f):.4f} | {np.abs(f).max():.4f} | "
             f"{_share(int(np.sum(np.abs(f) < 0.02)), len(f))} | "
             f"{np.median([row.f_sigma_percent for row in mine]):.4f} | "
             f"{_share(sum(row.acceptance == 'ACCEPTED' for row in mine), len(mine))} |"

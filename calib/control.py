@@ -9,7 +9,25 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
-from calib.control_adjust import BoolArray, Fit, MarkSet, Pose, adjust, intersected, resected, residuals_px
+from calib.control_adjust import (
+    BoolArray,
+    Fit,
+    MarkSet,
+    Pose,
+    adjust,
+    intersected,
+    resected,
+    residuals_px,
+)
+from calib.control_checks import (
+    AGREE_SHARE,
+    RADIAL,
+    require_agreement,
+    require_handedness,
+    require_lens,
+    require_shape,
+    shape_notes,
+)
 from calib.control_files import ControlPoint, Mark
 from calib.control_spread import Spread, model_spread
 from calib.errors import AlignmentError, InputError
@@ -19,7 +37,7 @@ from calib.photos.photo import Photo
 #: Release of the parameters ([SEN] 2.3); a step stays where chance explains its gain with less than P.
 STEPS: tuple[tuple[str, tuple[str, ...]], ...] = (
     ("poses", ()),
-    ("f and K1-K3", ("f", "k1", "k2", "k3")),
+    ("f and K1-K3", RADIAL),
     ("principal point", ("cx", "cy")),
     ("decentring P1 P2", ("p1", "p2")),
     ("affinity b1 b2", ("b1", "b2")),
@@ -28,13 +46,11 @@ SIGNIFICANT_P = 0.01
 #: [SEN] discussion: natural features are marked to half a pixel.
 MARK_SIGMA_PX = 0.5
 POINT_SIGMA_M = 0.005
-LEAST_POINTS, LEAST_PHOTOS, LEAST_MARKS = 6, 3, 5
+LEAST_PHOTOS, LEAST_MARKS = 3, 5
 #: In photos whose pose is known otherwise.
 LEAST_PLACED_MARKS = 4
 #: Probability that any of the good marks of a set is called a blunder (standardised residuals, Baarda 1968).
 BLUNDER_P = 0.01
-#: Fewer of the marks than this agreeing with each other: something is wrong with all of them.
-AGREE_SHARE = 0.8
 #: A point is at fault, not its marks, where more than this share of them is off.
 POINT_SHARE = 0.6
 
@@ -168,7 +184,7 @@ def prepare(
         raise InputError("The marked photos are of different cameras or sizes; give those of one camera.")
     xyz = np.array([point.xyz_m for point in chosen])
     control = np.array([not point.check for point in chosen])
-    _require_shape(xyz[control])
+    require_shape(xyz[control])
     camera = by_name[files[0]].camera
     # A mark at the very edge may lie a little outside.
     room = 0.01 * max(camera.width, camera.height)
@@ -207,14 +223,6 @@ def with_checks(points: Sequence[ControlPoint], every: int) -> list[ControlPoint
     return [replace(point, check=i % every == every - 1) for i, point in enumerate(points)]
 
 
-def _require_shape(xyz_m: FloatArray) -> None:
-    if len(xyz_m) < LEAST_POINTS:
-        raise InputError(f"{len(xyz_m)} control points are marked; at least {LEAST_POINTS} are needed.")
-    size = np.linalg.svd(xyz_m - xyz_m.mean(axis=0), compute_uv=False)
-    if size[1] < 0.02 * size[0]:
-        raise InputError("All control points lie on one line; spread them over the object.")
-
-
 def calibrate_control(
     marks: MarkSet,
     photos: tuple[Photo, ...],
@@ -237,15 +245,18 @@ def calibrate_control(
     except AlignmentError as error:
         name = photos[int(str(error))].path.name
         raise AlignmentError(
-            f"{name} cannot be placed by its marks: four or more of them must agree. Check their names, the "
-            "order of the coordinates (x east, y north, z up) and the focal length (--focal-px)."
+            f"{name} cannot be placed by its marks: four or more of them must agree. Check their names, "
+            "order and units of the coordinates (x east, y north, z up) and the focal length (--focal-px)."
         ) from error
     on_control = marks.control[marks.point]
+    share = float(np.mean(used[on_control]))
+    if share < AGREE_SHARE:
+        # Said at once: the hunt for blunders takes minutes where hundreds of marks are wrong.
+        require_handedness(marks, start, share)
     # Blunders are sought under the radial model: before, the corners miss for want of it.
-    radial = STEPS[1][1]
-    fit = adjust(marks, block, radial, used)
-    fit, used = _without_blunders(marks, fit, used, on_control, radial)
-    _require_agreement(marks, start, used, on_control)
+    fit = adjust(marks, block, RADIAL, used)
+    fit, used = _without_blunders(marks, fit, used, on_control, RADIAL)
+    require_agreement(marks, start, used, on_control)
     steps: list[Step] = []
     free: tuple[str, ...] = ()
     fit = adjust(marks, replace(fit.block, camera=start), (), used)
@@ -258,6 +269,7 @@ def calibrate_control(
         steps.append(_step(name, parameters, trial, marks, used, chance, kept))
         if kept:
             fit, free = trial, (*free, *parameters)
+    require_lens(marks, fit, start)
     fit, used = _without_blunders(marks, fit, used, on_control, free)
     good = used | (~on_control & _small(marks, fit, used))
     blunders = name_blunders(marks, fit, good, photos, points)
@@ -266,6 +278,7 @@ def calibrate_control(
     spread = model_spread(marks, fit, free, every, used & on_control)
     if spread.beyond_brown:
         notes = (*notes, _beyond_brown(spread))
+    notes = (*notes, *shape_notes(marks, fit.block))
     return ControlCalibration(photos, points, marks, fit, tuple(steps), good, errors, blunders, notes, spread)
 
 
@@ -273,26 +286,6 @@ def _beyond_brown(spread: Spread) -> str:
     return (
         f"The lens departs from Brown's model by some {spread.field_rms_px:.2f} px (rms at the marks, smooth "
         "over the picture); the sigmas allow for what that does to the parameters."
-    )
-
-
-def _require_agreement(marks: MarkSet, start: BrownCamera, used: BoolArray, on_control: BoolArray) -> None:
-    """Refuse points that most marks contradict, and say where x and y are swapped (a mirrored object)."""
-    share = float(np.mean(used[on_control]))
-    if share >= AGREE_SHARE:
-        return
-    mirrored = replace(marks, points_m=marks.points_m[:, [1, 0, 2]])
-    try:
-        other = float(np.mean(resected(mirrored, start)[1][on_control]))
-    except AlignmentError:
-        other = 0.0
-    if other > max(0.9, share):
-        raise InputError(
-            "The points fit the photos only with x and y swapped: give them as x east, y north, z up."
-        )
-    raise InputError(
-        f"Only {100 * share:.0f} % of the marks agree with the points. Check the points' names and the order "
-        "of their coordinates (x east, y north, z up), or give the focal length with --focal-px."
     )
 
 

@@ -321,3 +321,27 @@ def test_from_the_command_line(
     page = (tmp_path / "out" / "control.html").read_text(encoding="utf-8")
     assert "Release in steps" in page
     assert page.count("data-plot") >= 3
+
+
+@pytest.mark.parametrize("axes", [[1, 0, 2], [0, 2, 1]])
+def test_swapped_axes_are_said(axes: list[int]) -> None:
+    photos, points, marks = given(flown("thermal add6", 1))
+    turned = tuple(replace(p, xyz_m=(p.xyz_m[axes[0]], p.xyz_m[axes[1]], p.xyz_m[axes[2]])) for p in points)
+    used, kept, chosen, notes = prepare(photos, turned, marks)
+    with pytest.raises(InputError, match="only mirrored, as with x and y swapped"):
+        calibrate_control(used, kept, chosen, 770.0, notes)
+
+
+def test_other_units_are_asked_about() -> None:
+    """Millimetres: the lens comes out right, for scale does not matter to it, but the distances are odd."""
+    orbit = flown("thermal add6", 1)
+    photos, points, marks = given(orbit)
+    x, y, z = 1000 * np.array([point.xyz_m for point in points]).T
+    large = tuple(
+        replace(point, xyz_m=(float(a), float(b), float(c)))
+        for point, a, b, c in zip(points, x, y, z, strict=True)
+    )
+    used, kept, chosen, notes = prepare(photos, large, marks)
+    made = calibrate_control(used, kept, chosen, 0.97 * orbit.camera.f_px, notes)
+    assert any("coordinates in metres?" in note for note in made.notes)
+    assert not any("in metres?" in note for note in solved(orbit).notes)

@@ -12,7 +12,8 @@ import pytest
 
 from calib.equifinal import equifinal_region
 from calib.equifinal_published import LINE_5, P3P_WALL
-from sim.papers import lines, orbit, published, survey, walls
+from sim.papers import lines, orbit, published, senn_rows, survey, walls
+from sim.papers.__main__ import renewed
 from sim.papers.common import Place, Section, computed
 from sim.papers.flights import FLIGHTS, Case, fly, plan_of
 from sim.papers.tables import gathered, k2_error_e15
@@ -158,6 +159,27 @@ def _without_noise(flown: orbit.Orbit) -> orbit.Orbit:
     offset = flown.targets_m[flown.target] - flown.centres_m[flown.photo]
     in_cam = np.einsum("nij,nj->ni", flown.rotations_cam_from_world[flown.photo], offset)
     return replace(flown, pixels=flown.camera.project(in_cam[:, :2] / in_cam[:, 2:]))
+
+
+def test_table_2_agrees_in_shape_in_one_direction(place: Place) -> None:
+    """[SEN] fig. 5: printed K1 have opposite signs, the RGB profiles one shape to 2 px of 5472."""
+    cameras = {key: senn_rows.camera_of(key)[0] for key in published.TABLE_2}
+    assert all(camera.k1 < 0 for camera in cameras.values())
+    radius = np.linspace(0, 2736, 101)[1:]
+    for pair in ("subset", "add6"):
+        one, other = (cameras["RGB", program, pair] for program in ("VMS", "Metashape"))
+        difference = senn_rows.profile_px(one, radius) - senn_rows.profile_px(other, radius)
+        assert 0.2 < np.abs(senn_rows.without_scale(difference, radius)).max() < 2
+        naive = senn_rows.camera_of(("RGB", "VMS", pair), flipped=True)[0]
+        assert senn_rows.mapping_px(naive, other) > 1.03 * senn_rows.mapping_px(one, other)
+    assert "| RGB: VMS subset, Metashape subset |" in senn_rows.section(place).text
+
+
+def test_sections_are_renewed_alone() -> None:
+    text = "# T\n\nhead\n\n## 1. A\n\na\n\n## 2. B\n\nb\n"
+    assert renewed(text, {}) == text
+    made = renewed(text, {2: "## 2. B\n\nc\n", 3: "## 3. C\n\nd\n"})
+    assert made == "# T\n\nhead\n\n## 1. A\n\na\n\n## 2. B\n\nc\n\n## 3. C\n\nd\n"
 
 
 def test_half_a_line_of_raw_results_is_done_again(place: Place) -> None:

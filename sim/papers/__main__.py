@@ -4,13 +4,16 @@ from __future__ import annotations
 
 import argparse
 import os
+import re
 import resource
 import time
+from collections.abc import Callable
 from dataclasses import dataclass, field
+from functools import cache
 from pathlib import Path
 
-from sim.papers import domes, lines, senn, survey, tables, walls
-from sim.papers.common import Place
+from sim.papers import domes, lines, senn, senn_rows, survey, tables, through_assess, walls
+from sim.papers.common import Place, Section
 
 HERE = Path(__file__).resolve().parents[2]
 #: Bump to start again after a change of what is computed.
@@ -26,25 +29,43 @@ class Plan:
     flights: tables.Plan = field(default_factory=tables.Plan)
     lens_points: int = 400
     k4_repeats: int = 20
+    assessed_seeds: int = 1
 
 
 FULL = Plan()
 #: A look at everything in about two minutes.
-QUICK = Plan(100_000, walls.Plan((24, 22), (10, 9)), tables.Plan(4, 2, 1), 200, 3)
+QUICK = Plan(100_000, walls.Plan((24, 22), (10, 9)), tables.Plan(4, 2, 1), 200, 3, 1)
+
+
+def sections(place: Place, plan: Plan) -> dict[int, Callable[[], Section]]:
+    """What makes each section of the page, by its number."""
+
+    @cache
+    def flown() -> tables.Flown:
+        return tables.fly_all(place, plan.flights)
+
+    return {
+        1: lambda: lines.section(place, plan.draws),
+        2: lambda: walls.section(place, plan.wall),
+        3: lambda: tables.section_3(flown()),
+        4: lambda: tables.section_4(flown()),
+        5: lambda: domes.section(place, flown()),
+        6: lambda: survey.section(place, plan.lens_points, plan.draws // 5),
+        7: lambda: senn.section(place, repeats=plan.k4_repeats),
+        8: lambda: through_assess.section(place, plan.assessed_seeds),
+        9: lambda: senn_rows.section(place),
+    }
+
+
+def renewed(text: str, made: dict[int, str]) -> str:
+    """The page ``text`` with some of its sections, by number, written anew or added at its end."""
+    head, *old = re.split(r"^(?=## \d+\. )", text, flags=re.MULTILINE)
+    parts = {int(part[3 : part.index(".")]): part.rstrip() for part in old} | made
+    return "\n\n".join([head.rstrip(), *(parts[n].rstrip() for n in sorted(parts))]) + "\n"
 
 
 def page(place: Place, plan: Plan) -> str:
     """The whole page as Markdown; figures are written on the way."""
-    flown = tables.fly_all(place, plan.flights)
-    sections = [
-        lines.section(place, plan.draws),
-        walls.section(place, plan.wall),
-        tables.section_3(flown),
-        tables.section_4(flown),
-        domes.section(place, flown),
-        survey.section(place, plan.lens_points, plan.draws // 5),
-        senn.section(place, repeats=plan.k4_repeats),
-    ]
     if plan.flights.seeds < FULL.flights.seeds:
         note = ["This page is from a quick run: small grids and few seeds.", ""]
     else:
@@ -60,7 +81,7 @@ def page(place: Place, plan: Plan) -> str:
         "",
         *note,
     ]
-    return "\n".join([*head, ""]) + "\n".join(one.text for one in sections).rstrip() + "\n"
+    return renewed("\n".join(head), {n: make().text for n, make in sections(place, plan).items()})
 
 
 def main() -> None:
@@ -69,13 +90,19 @@ def main() -> None:
     parser.add_argument("--out", type=Path, default=HERE / "docs" / "papers.md", help="the page")
     parser.add_argument("--raw", type=Path, default=HERE / "build" / "papers", help="raw results, kept")
     parser.add_argument("--workers", type=int, default=os.cpu_count() or 1)
+    parser.add_argument("--only", type=int, nargs="+", metavar="N", help="renew these sections alone")
     parser.add_argument("--quick", action="store_true", help="small grids and few seeds")
     given = parser.parse_args()
     plan = QUICK if given.quick else FULL
     started = time.monotonic()
     place = Place(given.out.parent / given.out.stem, given.raw / f"v{VERSION}", given.workers)
     given.out.parent.mkdir(parents=True, exist_ok=True)
-    given.out.write_text(page(place, plan), encoding="utf-8")
+    if given.only:
+        makers = sections(place, plan)
+        text = renewed(given.out.read_text(encoding="utf-8"), {n: makers[n]().text for n in given.only})
+    else:
+        text = page(place, plan)
+    given.out.write_text(text, encoding="utf-8")
     spent = sum(
         resource.getrusage(who).ru_utime + resource.getrusage(who).ru_stime
         for who in (resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN)

@@ -14,7 +14,7 @@ import numpy as np
 from calib.align.rotations import rotation_exp
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.references import bundled_references
-from sim.papers.published import SENN
+from sim.papers.published import CAMPAIGN, SENN
 
 #: [SEN] 2.1: the building, m.
 BUILDING_M = (12.5, 7.5, 10.5)
@@ -64,12 +64,24 @@ def sensor(name: str) -> BrownCamera:
 
 def fly(name: str, seed: int) -> Orbit:
     """The data set ``name`` ("thermal subset", ...): as many images, targets and about as many marks."""
-    theirs, camera = SENN[name], sensor(name.split()[0])
+    theirs = SENN[name]
     rng = np.random.default_rng([seed, sorted(SENN).index(name)])
-    spots, normals = _targets(theirs.targets, rng)
-    k = theirs.images
+    return _flown(name.split()[0], theirs.images, theirs.targets, theirs.observations, rng)
+
+
+def fly_all(kind: str, seed: int) -> Orbit:
+    """All that was photographed of one sensor ("thermal", "RGB"), marked as densely as its larger set."""
+    theirs = SENN[f"{kind} add6"]
+    marks = round(theirs.observations / theirs.images * CAMPAIGN[kind])
+    rng = np.random.default_rng([seed, 40 + sorted(CAMPAIGN).index(kind)])
+    return _flown(kind, CAMPAIGN[kind], theirs.targets, marks, rng)
+
+
+def _flown(kind: str, k: int, targets: int, most_marks: int, rng: np.random.Generator) -> Orbit:
+    camera = sensor(kind)
+    spots, normals = _targets(targets, rng)
     azimuth = 2 * np.pi * (np.arange(k) + rng.uniform(-0.2, 0.2, k)) / k
-    distance = np.array(DISTANCES_M[name.split()[0]])[np.arange(k) % 3]
+    distance = np.array(DISTANCES_M[kind])[np.arange(k) % 3]
     height = np.array(HEIGHTS_M)[(np.arange(k) // 2) % 3]
     centres = np.column_stack([distance * np.sin(azimuth), distance * np.cos(azimuth), height])
     rotations = _looking_at(centres, np.array([0, 0, BUILDING_M[2] / 2]) + rng.normal(0, 0.5, (k, 3)))
@@ -80,7 +92,7 @@ def fly(name: str, seed: int) -> Orbit:
     inside = ((pixels > 0) & (pixels < [camera.width, camera.height])).all(axis=-1)
     photo, target = np.nonzero((in_cam[..., 2] > 1) & (facing > np.cos(np.radians(80))) & inside)
     # Operators leave out what they cannot place well: about as many marks as the paper had.
-    kept = np.sort(rng.permutation(len(photo))[: theirs.observations])
+    kept = np.sort(rng.permutation(len(photo))[:most_marks])
     photo, target = photo[kept], target[kept]
     noisy = pixels[photo, target] + MARKER_PX * rng.normal(size=(len(photo), 2))
     scanned = spots + TARGET_M * rng.normal(size=spots.shape)

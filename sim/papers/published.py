@@ -92,5 +92,36 @@ SENN = {
     "RGB subset": OrbitSet(15, 609, 91, 0.88, 1.36),
     "RGB add6": OrbitSet(21, 752, 105, 1.02, 1.23),
 }
+#: All images taken ([SEN] 2.1).
+CAMPAIGN = {"thermal": 158, "RGB": 101}
+#: The same sets in Metashape: RMS px of control and of check points ([SEN] Table 1).
+SENN_METASHAPE = {
+    "thermal subset": (0.81, 0.54),
+    "thermal add6": (0.88, 0.73),
+    "RGB subset": (0.92, 0.71),
+    "RGB add6": (1.19, 1.31),
+}
+#: [SEN] Table 2: c, xp, yp in mm, K1 K2 K3 in mm^-2 mm^-4 mm^-6, P1 P2 in mm^-1; xp to the right, yp up.
+TABLE_2 = {
+    ("thermal", "VMS", "subset"): (13.10, -1.25e-1, -1.63e-1, 5.34e-4, -3.76e-5, 8.90e-7, -5.36e-5, -6.47e-4),
+    ("thermal", "VMS", "add6"): (13.09, -1.02e-1, -3.15e-2, 2.35e-4, -1.11e-5, 3.26e-7, -8.64e-5, -2.56e-4),
+    ("thermal", "Metashape", "subset"): (
+        13.12,
+        -1.09e-1,
+        -7.55e-2,
+        -1.11e-4,
+        1.19e-5,
+        -4.12e-7,
+        2.52e-5,
+        3.67e-4,
+    ),
+    ("thermal", "Metashape", "add6"): (13.13, -9.76e-2, 6.32e-2, -2.98e-5, 3.69e-6, -2.41e-7, 0.0, 2.18e-5),
+    ("RGB", "VMS", "subset"): (8.84, 1.82e-2, -3.20e-3, 1.80e-4, -1.15e-5, 1.96e-7, 3.01e-5, 1.85e-5),
+    ("RGB", "VMS", "add6"): (8.84, 2.04e-2, -7.60e-3, 2.04e-4, -1.25e-5, 2.11e-7, 3.46e-5, 4.15e-6),
+    ("RGB", "Metashape", "subset"): (8.85, 1.64e-2, -6.30e-3, -1.30e-4, 8.24e-6, -1.43e-7, -1.43e-5, 5.39e-6),
+    ("RGB", "Metashape", "add6"): (8.85, 1.97e-2, -1.29e-2, -1.18e-4, 7.16e-6, -1.20e-7, -1.60e-5, 2.16e-5),
+}
+#: Width and height in px and pixel size in mm of the sensors ([SEN] 2.1).
+SENSORS = {"thermal": (640, 512, 0.017), "RGB": (5472, 3648, 0.00241)}
 #: Correlation of K3 and K4, RGB add6 in Metashape ([SEN] 2.3).
 K3_K4_CORRELATION = 0.99
