@@ -19,10 +19,13 @@ from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
 
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.errors import FormatError, InputError
+from calib.evidence import reference_sigma_f_px
 from calib.field import FIELD_NAMES, LENS_NAMES, Lens
 from calib.findings import Finding, Verdict
 from calib.flown import FlownNetwork
+from calib.limits import f_decides
 from calib.network_design import CameraNetwork, Known
+from calib.reference import Reference
 from calib.report_json import FindingModel, finding_models, findings_of
 from calib.result import CheckResult
 from calib.wording import printable
@@ -46,6 +49,8 @@ _SHAPES = {
     "brown": (len(BROWN_NAMES),),
     "brown_covariance": (len(BROWN_NAMES), len(BROWN_NAMES)),
 }
+#: Arrays that a file may lack.
+_OPTIONAL = {"reference_covariance": (len(LENS_NAMES), len(LENS_NAMES))}
 #: What reading a damaged file may end in; a flipped bit may ask for a password (RuntimeError).
 _DAMAGE = (ValueError, KeyError, EOFError, OSError, RuntimeError, zipfile.BadZipFile, zlib.error)
 _MAY_BE_INFINITE = ("centre_sigma_m", "rotation_sigma_rad", "lens_sigma")
@@ -75,6 +80,8 @@ class FlownCheck:
     launch_up_m: float | None
     photos: tuple[str, ...]
     geotag_fault: str | None = None
+    #: (35, 35) of the reference that the dome is held against; None: there is none that decides.
+    reference_covariance: FloatArray | None = None
 
     @property
     def sigma_f_percent(self) -> float:
@@ -144,7 +151,17 @@ def flown_check(result: CheckResult) -> FlownCheck | None:
         launch_up_m=float(np.median(above)) if above and georeference.metric else None,
         photos=tuple(photo.path.name for photo in solution.photos),
         geotag_fault=georeference.fault,
+        reference_covariance=_deciding(result.reference),
     )
+
+
+def _deciding(reference: Reference | None) -> FloatArray | None:
+    """Covariance (35, 35) of a reference that decides: the dome against it is no better known."""
+    if reference is None or reference.lens is None:
+        return None
+    if not f_decides(reference.lens.brown.f_px, reference_sigma_f_px(reference)):
+        return None
+    return reference.lens_covariance
 
 
 def network_bytes(check: FlownCheck) -> bytes:
@@ -172,9 +189,13 @@ def network_bytes(check: FlownCheck) -> bytes:
         shutter_sigma_m=known.shutter_sigma_m,
     )
     text = about.model_dump_json(by_alias=True)
+    given = check.reference_covariance
+    optional = {} if given is None else {"reference_covariance": given}
     out = io.BytesIO()
     np.savez_compressed(
         out,
+        allow_pickle=False,
+        **optional,
         about=np.frombuffer(text.encode(), np.uint8),
         rotations=net.rotations,
         centres_m=net.centres_m,
@@ -223,9 +244,12 @@ def _arrays(data: bytes) -> dict[str, FloatArray]:
         if sum(info.file_size for info in archive.infolist()) > _LARGEST_UNPACKED:
             raise ValueError("too large")
     with np.load(io.BytesIO(data), allow_pickle=False) as archive:
-        found: dict[str, FloatArray] = {name: archive[name] for name in ("about", *_SHAPES)}
+        there = [name for name in _OPTIONAL if name in archive.files]
+        found: dict[str, FloatArray] = {name: archive[name] for name in ("about", *_SHAPES, *there)}
     sizes: dict[str, int] = {}
-    for name, shape in _SHAPES.items():
+    for name, shape in (_SHAPES | _OPTIONAL).items():
+        if name not in found:
+            continue
         array = found[name]
         if array.ndim != len(shape) or array.dtype.kind not in "fuib":
             raise ValueError(f"{name} is of another kind")
@@ -276,4 +300,5 @@ def _made(arrays: dict[str, FloatArray], about: _About) -> FlownCheck:
         launch_up_m=about.launch_up_m,
         photos=about.photos,
         geotag_fault=about.geotag_fault,
+        reference_covariance=a.get("reference_covariance"),
     )

@@ -58,9 +58,14 @@ def severity(value: float, threshold: float) -> str:
     return "clearly over" if ratio < 5 else "far over"
 
 
+def f_decides(f_px: float, sigma_f_px: float) -> bool:
+    """Whether a reference's f is known well enough to hold a survey to 0.1 %."""
+    return 100 * sigma_f_px / f_px <= FOCAL_SIGMA_PERCENT
+
+
 def reference_decides(e: Evidence) -> bool:
-    """Whether the reference's own f is known well enough to hold a survey to 0.1 %."""
-    return e.f_ref_px is not None and 100 * e.sigma_f_ref_px / e.f_ref_px <= FOCAL_SIGMA_PERCENT
+    """Whether there is a reference whose own f is known well enough to hold a survey to 0.1 %."""
+    return e.f_ref_px is not None and f_decides(e.f_ref_px, e.sigma_f_ref_px)
 
 
 def no_reference(e: Evidence) -> str:

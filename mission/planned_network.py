@@ -73,6 +73,7 @@ class PlannedNetwork:
 
     ``f_gradient`` (q,): d reported f / d free lens parameters. ``height_agl_m``: median of the photos.
     ``beyond`` (q, q): covariance of what the lens model cannot follow and no photo takes away; None: nothing.
+    ``reference`` (q, q): covariance of the lens that the dome is held against; None: it is held against none.
     ``own_share``: share of their views that the network's own photos match at the angles between them, where
     ``assumptions.tie_points_per_photo`` counts what they really matched.
     """
@@ -85,6 +86,7 @@ class PlannedNetwork:
     assumptions: Assumptions
     beyond: FloatArray | None = None
     own_share: float = 1.0
+    reference: FloatArray | None = None
 
     def worth(self, head: FloatArray) -> tuple[float, float]:
         """Sigma f in percent and dome sigma in percent of the height, model error included.
@@ -97,18 +99,27 @@ class PlannedNetwork:
         dome = error * float(head[q, q])
         f = error * float(self.f_gradient @ lens @ self.f_gradient)
         if self.beyond is not None:
-            gain = self._gain(head)
-            dome += float(gain @ self.beyond @ gain)
             f += float(self.f_gradient @ self.beyond @ self.f_gradient)
+        lasting = [part for part in (self.beyond, self.reference) if part is not None]
+        if lasting:
+            gain = self._gain(head)
+            dome += sum(float(gain @ part @ gain) for part in lasting)
         f, dome = math.sqrt(max(f, 0.0)), math.sqrt(max(dome, 0.0))
         return 100 * f / self.network.lens.brown.f_px, 100 * dome / self.height_agl_m
 
     def dome_beyond_percent(self, head: FloatArray) -> float:
         """The part of the dome's sigma that comes from what the lens model cannot follow."""
-        if self.beyond is None:
+        return self._dome_percent(head, self.beyond)
+
+    def dome_reference_percent(self, head: FloatArray) -> float:
+        """The part of the dome's sigma that is the reference's own."""
+        return self._dome_percent(head, self.reference)
+
+    def _dome_percent(self, head: FloatArray, part: FloatArray | None) -> float:
+        if part is None:
             return 0.0
         gain = self._gain(head)
-        return 100 * math.sqrt(max(float(gain @ self.beyond @ gain), 0.0)) / self.height_agl_m
+        return 100 * math.sqrt(max(float(gain @ part @ gain), 0.0)) / self.height_agl_m
 
     def _gain(self, head: FloatArray) -> FloatArray:
         """d dome / d free lens parameters (q,), with the block re-adjusted around them."""

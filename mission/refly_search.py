@@ -63,13 +63,14 @@ class Worth:
     """What is known with a pass taken: f, dome in percent (model error included), and the lens's covariance.
 
     ``lens`` (q, q) over the network's free parameters, model error included. ``dome_beyond_percent``: the
-    part of the dome that the lens model cannot follow.
+    part of the dome that the lens model cannot follow; ``dome_reference_percent``: the reference's own part.
     """
 
     sigma_f_percent: float
     dome_percent: float
     lens: FloatArray
     dome_beyond_percent: float = 0.0
+    dome_reference_percent: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -368,6 +369,7 @@ class PassSearch:
                 *planned.worth(with_all),
                 factor**2 * with_all[:q, :q],
                 planned.dome_beyond_percent(with_all),
+                planned.dome_reference_percent(with_all),
             ),
             next((shape for known, shape in self.shapes if known == photos), None),
         )

@@ -218,6 +218,8 @@ def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
     # The flight's own tie points are those matched at its own angles already.
     angles = nearest_view_deg(net.photo, net.point, net.centres_m, net.points_m)
     own_share = max(float(np.mean(SIMULATED.share(angles))), flown.matched_share)
+    given = check.reference_covariance
+    reference = None if given is None else given[np.ix_(free, free)]
     return PlannedNetwork(
-        net, known, functionals, gradient[free], check.height_agl_m, assumptions, beyond, own_share
+        net, known, functionals, gradient[free], check.height_agl_m, assumptions, beyond, own_share, reference
     )

@@ -125,6 +125,13 @@ def short_of(found: Found, tie_points: float, noise_px: float) -> str:
             f"{percent(found.worth.dome_beyond_percent)} of the height (1 sigma), whatever is flown. Fly the "
             "survey again from higher up, or in parts."
         )
+    if found.worth.dome_reference_percent > LENS_SHARE * CURED_DOME_PERCENT:
+        return (
+            "Not a limit but the reference: over a site this wide for its height its own uncertainty alone "
+            f"leaves room for a dome of {percent(found.worth.dome_reference_percent)} of the height "
+            "(1 sigma), whatever is flown. Calibrate the camera anew (fieldcal calibrate) and check against "
+            "that."
+        )
     return (
         f"Not a limit but the survey itself: with {tie_points:.0f} tie points a photo, measured to "
         f"{noise_px:.1f} px, even {len(found.stations)} more photos leave {found.ratio:.1f} times what is "

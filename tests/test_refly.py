@@ -16,6 +16,7 @@ from hypothesis import strategies as st
 from benchmarks.refly_optimality import check_of, flown, outcome
 from calib.camera import BROWN_NAMES
 from calib.errors import FieldcalError, FormatError, InputError
+from calib.field import LENS_NAMES
 from calib.findings import Finding, State, Verdict
 from calib.flown import flown_network
 from calib.flown_file import NETWORK_FILE, FlownCheck, network_bytes, read_network
@@ -29,7 +30,7 @@ from mission.refly_passes import paper_fan, tilts_for
 from mission.refly_search import PassSearch
 from mission.refly_sheet import render_refly_sheet
 from mission.refly_site import FlownSite, flown_site
-from mission.refly_words import why_no_pass
+from mission.refly_words import short_of, why_no_pass
 from mission.site_file import SiteFile, checked
 from sim.flights import Flight, grid, jittered, phantom3, rotation_looking
 from sim.network import SimOptions, observe
@@ -252,6 +253,33 @@ def test_what_no_lens_model_follows_stays_in_the_dome(case: FlownSite) -> None:
     assert planned.dome_beyond_percent(head) == 0.0
     assert more.worth(head)[1] == pytest.approx(np.hypot(planned.worth(head)[1], own), rel=1e-4)
     assert more.worth(head)[0] > planned.worth(head)[0]
+
+
+def test_a_loose_reference_stays_in_the_dome_and_not_in_f(
+    case: FlownSite, found: Refly, tmp_path: Path
+) -> None:
+    free = case.planned.known.free
+    covariance = np.zeros((len(free), len(free)))
+    k1 = LENS_NAMES.index("k1")
+    covariance[k1, k1] = 1e-4**2
+    (tmp_path / NETWORK_FILE).write_bytes(network_bytes(replace(case.check, reference_covariance=covariance)))
+    kept = read_network(tmp_path / NETWORK_FILE)
+    assert kept.reference_covariance is not None
+    assert np.array_equal(kept.reference_covariance, covariance)
+    planned = flown_site(kept, SiteFile()).planned
+    head = PassSearch(planned, case.site, 30.0).candidates.joint.head
+    q = len(planned.f_gradient)
+    gain = np.linalg.solve(head[:q, :q], head[q, :q])[np.flatnonzero(free).tolist().index(k1)]
+    own = 100 * 1e-4 * abs(float(gain)) / planned.height_agl_m
+    alone = replace(planned, reference=None)
+    assert planned.dome_reference_percent(head) == pytest.approx(own, rel=1e-4)
+    assert alone.dome_reference_percent(head) == 0.0
+    assert planned.worth(head)[1] == pytest.approx(np.hypot(alone.worth(head)[1], own), rel=1e-4)
+    assert planned.worth(head)[0] == alone.worth(head)[0]
+    assert found.found is not None
+    loose = replace(found.found, worth=replace(found.found.worth, dome_reference_percent=0.05))
+    assert "Not a limit but the reference" in short_of(loose, 300.0, 0.5)
+    assert "Not a limit but the survey" in short_of(found.found, 300.0, 0.5)
 
 
 def test_any_one_photo_may_be_missing(case: FlownSite, found: Refly) -> None:
