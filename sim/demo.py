@@ -411,7 +411,7 @@ def main(arguments: list[str] | None = None) -> int:
     """Exit code 0 only if every verdict is the expected one."""
     parser = argparse.ArgumentParser(prog="python -m sim.demo", description=(__doc__ or "").split("\n")[0])
     parser.add_argument("--out", type=Path, default=Path("demo-out"), help="folder for photos and reports")
-    parser.add_argument("--width", type=int, default=1600, help="width of the photos in px (default: 1600)")
+    parser.add_argument("--width", type=int, default=1200, help="width of the photos in px (default: 1200)")
     parser.add_argument("--autopilot", choices=FLAVOURS, default="ardupilot", help="whose vehicle it is")
     chosen = parser.parse_args(arguments)
     if not 320 <= chosen.width <= 4000:
