@@ -15,6 +15,7 @@ import laspy
 import numpy as np
 
 from calib.align.adjust import State
+from calib.align.rays import triangulate
 from calib.assess import SEVEN_NAMES
 from calib.assess.study import assess_cloud
 from calib.assess.truth import read_truth
@@ -23,6 +24,7 @@ from calib.clouds import load_cloud, open_cloud
 from calib.equifinal import Radial
 from calib.equifinal_published import LINE_5, P3P_WALL_F_PX, clip_to_line
 from calib.perturb import held_at
+from calib.solution import Observations
 from sim.network import candidates, seen
 from sim.papers import published
 from sim.papers.common import Place, Section, computed
@@ -74,19 +76,11 @@ def dense_cloud(block: Block, state: State, case: Case) -> FloatArray:
     point, photo = point[kept], photo[kept]
     pixels = seen(dense, photo, ground[point]) + MATCH_PX * rng.normal(size=(len(point), 2))
     camera = truth.lens.brown
-    rays = state.lens.unproject(pixels)
-    inside = (pixels >= 0) & (pixels <= [camera.width, camera.height])
-    good = (inside & np.isfinite(rays)).all(axis=1)
-    point, photo, rays = point[good], photo[good], rays[good]
-    ray = np.concatenate([rays, np.ones((len(rays), 1))], axis=1)
-    ray /= np.linalg.norm(ray, axis=1, keepdims=True)
-    ray = np.einsum("nji,nj->ni", state.rotations[photo], ray)
-    across = np.eye(3) - ray[:, :, None] * ray[:, None, :]
-    normal, right = np.zeros((DENSE_POINTS, 3, 3)), np.zeros((DENSE_POINTS, 3))
-    np.add.at(normal, point, across)
-    np.add.at(right, point, np.einsum("nij,nj->ni", across, state.centres_m[photo]))
-    enough = np.bincount(point, minlength=DENSE_POINTS) >= 2
-    return np.asarray(np.linalg.solve(normal[enough], right[enough][..., None])[..., 0])
+    inside = ((pixels >= 0) & (pixels <= [camera.width, camera.height])).all(axis=1)
+    sigma = np.full(int(inside.sum()), MATCH_PX)
+    views = Observations(photo[inside], point[inside], pixels[inside], sigma)
+    found = triangulate(state.lens, state.rotations, state.centres_m, views, DENSE_POINTS)
+    return np.asarray(found[np.isfinite(found).all(axis=1)])
 
 
 def _half_m(flight: str) -> FloatArray:
