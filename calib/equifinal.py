@@ -107,16 +107,21 @@ def image_radius_px(camera: BrownCamera) -> float:
     return max(camera.width, camera.height) / 2
 
 
+def without_scale(profile: FloatArray, r_px: FloatArray) -> FloatArray:
+    """Profiles (n,) or (n, c) at radii (n,) less the multiple of r that fits each best: a change of f."""
+    # Weights r: every pixel of the image counts the same.
+    multiple = (r_px * r_px) @ profile / np.sum(r_px**3)
+    return np.asarray(profile - np.multiply.outer(r_px, multiple))
+
+
 def profile_deviation(
     survey: Radial, reference: Radial, radius_px: float, covariance: FloatArray | None = None
 ) -> Deviation:
     """Deviation of two profiles; ``covariance`` (3, 3) is that of the difference of K1, K2, K3."""
     r = np.linspace(0, radius_px, _DEVIATION_STEPS + 1)[1:]
     design = np.stack([r**3, r**5, r**7], axis=-1)
-    # Weights r: every pixel of the image counts the same.
-    linear = np.outer(r, (r * r) @ design) / np.sum(r**3)
     values = []
-    for jacobian in (design, design - linear):
+    for jacobian in (design, without_scale(design, r)):
         difference = np.abs(jacobian @ (survey.vector - reference.vector))
         if covariance is None:
             sigma = np.zeros_like(r)

@@ -10,7 +10,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib.equifinal import equifinal_region
+from calib.equifinal import equifinal_region, without_scale
 from calib.equifinal_published import LINE_5, P3P_WALL
 from sim.papers import lines, orbit, published, senn_rows, survey, walls
 from sim.papers.__main__ import renewed
@@ -169,7 +169,7 @@ def test_table_2_agrees_in_shape_in_one_direction(place: Place) -> None:
     for pair in ("subset", "add6"):
         one, other = (cameras["RGB", program, pair] for program in ("VMS", "Metashape"))
         difference = senn_rows.profile_px(one, radius) - senn_rows.profile_px(other, radius)
-        assert 0.2 < np.abs(senn_rows.without_scale(difference, radius)).max() < 2
+        assert 0.2 < np.abs(without_scale(difference, radius)).max() < 2
         naive = senn_rows.camera_of(("RGB", "VMS", pair), flipped=True)[0]
         assert senn_rows.mapping_px(naive, other) > 1.03 * senn_rows.mapping_px(one, other)
     assert "| RGB: VMS subset, Metashape subset |" in senn_rows.section(place).text

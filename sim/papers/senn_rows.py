@@ -11,7 +11,7 @@ from calib.brownfit import image_grid_rays, turned_rays
 from calib.camera import BrownCamera, FloatArray
 from calib.convert import radial_in_focal_units
 from calib.correction import CorrectionModel, fit_from_correction
-from calib.equifinal import image_radius_px
+from calib.equifinal import image_radius_px, without_scale
 from calib.field import Lens
 from sim.papers import plots, published
 from sim.papers.common import Place, Section
@@ -46,11 +46,6 @@ def profile_px(camera: BrownCamera, r_px: FloatArray) -> FloatArray:
     return np.asarray(
         camera.f_px * (camera.k1 * r**3 + camera.k2 * r**5 + camera.k3 * r**7 + camera.k4 * r**9)
     )
-
-
-def without_scale(profile: FloatArray, r_px: FloatArray) -> FloatArray:
-    """What a change of f cannot do: the best multiple of r taken out, every pixel counting alike."""
-    return np.asarray(profile - r_px * (np.sum(profile * r_px**2) / np.sum(r_px**3)))
 
 
 def mapping_px(one: BrownCamera, other: BrownCamera) -> float:
