@@ -138,8 +138,7 @@ def on_points(given: Campaign, camera: BrownCamera, sigma_px: float, case: str, 
     photos, points, marks = given
     used, kept, chosen, notes = prepare(photos, points, marks, sigma_px)
     made = calibrate_control(used, kept, chosen, 0.97 * camera.f_px, notes)
-    sigma = 100 * float(np.sqrt(made.covariance[0, 0])) / made.camera.f_px
-    good = sigma <= reference_limit_percent(camera.width)
+    good = made.sigma_f_percent <= reference_limit_percent(camera.width)
     answer = Acceptance.ACCEPTED if good else Acceptance.RETAKE
     return _row(seed, case, answer, made.camera, camera, made.covariance, started)
 

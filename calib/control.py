@@ -98,6 +98,11 @@ class ControlCalibration:
         return np.asarray(self.fit.covariance + self.spread.covariance)
 
     @property
+    def sigma_f_percent(self) -> float:
+        """Standard deviation of f in percent."""
+        return 100 * float(np.sqrt(self.covariance[0, 0])) / self.camera.f_px
+
+    @property
     def origin_m(self) -> FloatArray:
         """Where coordinates of ``marks`` and ``fit`` count from (3,), in the points' own frame."""
         return np.asarray(self.points[0].xyz_m - self.marks.points_m[0])

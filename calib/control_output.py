@@ -247,7 +247,7 @@ def summary(made: ControlCalibration) -> str:
 
 def render_control(made: ControlCalibration, saved_as: str | None = None) -> str:
     """The report as HTML text, in the look of the check's."""
-    sigma = 100 * float(np.sqrt(made.covariance[0, 0])) / made.camera.f_px
+    sigma = made.sigma_f_percent
     fine = not made.blunders
     look = "trust" if fine else "cannot_tell"
     head = (

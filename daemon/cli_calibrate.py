@@ -288,7 +288,7 @@ def _marks_and_points(
 
 
 def _show_control(kept: KeptControl, wanted: _Wanted, alone: bool) -> None:
-    made, saved, sigma = kept.made, kept.saved_as, kept.sigma_percent
+    made, saved, sigma = kept.made, kept.saved_as, kept.made.sigma_f_percent
     to_stderr = wanted.json_to == "-"
     say = console(to_stderr)
     headline = f"f {made.camera.f_px:.2f} px, known to {sigma:.4f} % (1 sigma)"

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections import Counter
 from dataclasses import dataclass
 from pathlib import Path
@@ -30,15 +29,6 @@ class KeptControl:
     made: ControlCalibration
     folder: Path
     saved_as: str | None
-
-    @property
-    def sigma_percent(self) -> float:
-        return sigma_percent(self.made)
-
-
-def sigma_percent(made: ControlCalibration) -> float:
-    """Of the focal length, one standard deviation."""
-    return 100 * math.sqrt(made.covariance[0, 0]) / made.camera.f_px
 
 
 def keep_campaign(
@@ -93,7 +83,7 @@ def _clear(folder: Path, names: tuple[str, ...]) -> None:
 def _keep(made: ControlCalibration, name: str, folder: Path, temperature_c: float | None) -> str | None:
     saved = None
     _clear(folder, _EARLIER)
-    if sigma_percent(made) <= reference_limit_percent(made.camera.width):
+    if made.sigma_f_percent <= reference_limit_percent(made.camera.width):
         reference = control_reference(made, name, temperature_c)
         write_reference_file(reference, folder / REFERENCE_JSON)
         save_reference(reference)
