@@ -17,7 +17,7 @@ LEAST_POINTS = 6
 AGREE_SHARE = 0.8
 #: A focal length further from the stated one than this factor, or vaguer than this share, is none.
 FOCAL_RANGE, VAGUE_FOCAL = 2.0, 0.1
-#: Less deep than this share of its width: the control lies in a plane.
+#: Thinner than this share of its length: the control lies on a line, or in a plane.
 _FLAT = 0.02
 #: Photos nearer to the points or further from them than this: their coordinates may not be metres.
 _NEAR_M, _FAR_M = 0.1, 500.0
@@ -26,9 +26,15 @@ _NEAR_M, _FAR_M = 0.1, 500.0
 def require_shape(xyz_m: FloatArray) -> None:
     if len(xyz_m) < LEAST_POINTS:
         raise InputError(f"{len(xyz_m)} control points are marked; at least {LEAST_POINTS} are needed.")
-    size = np.linalg.svd(xyz_m - xyz_m.mean(axis=0), compute_uv=False)
-    if size[1] < 0.02 * size[0]:
+    size = _extents(xyz_m)
+    if size[1] < _FLAT * size[0]:
         raise InputError("All control points lie on one line; spread them over the object.")
+
+
+def _extents(xyz_m: FloatArray) -> FloatArray:
+    """How far points spread along their own three axes, largest first; only ratios count."""
+    found: FloatArray = np.linalg.svd(xyz_m - xyz_m.mean(axis=0), compute_uv=False)
+    return found
 
 
 def require_agreement(marks: MarkSet, start: BrownCamera, used: BoolArray, on_control: BoolArray) -> None:
@@ -85,8 +91,7 @@ def require_lens(marks: MarkSet, fit: Fit, start: BrownCamera) -> None:
 
 def shape_notes(marks: MarkSet, block: Block) -> list[str]:
     """What is odd about where the points are."""
-    control = marks.points_m[marks.control]
-    size = np.linalg.svd(control - control.mean(axis=0), compute_uv=False)
+    size = _extents(marks.points_m[marks.control])
     depth = float(np.median(in_camera(marks, block)[:, 2]))
     notes = []
     if size[2] < _FLAT * size[0]:

@@ -55,6 +55,8 @@ PATIENCE_S = 60.0
 MISSION, LENS, FLIGHT = "nadir.plan", "true-lens.json", "flight"
 #: A flight that takes longer has gone wrong.
 LONGEST_S = 1800.0
+#: A camera that takes longer to make its ground is not coming.
+READY_S = 300.0
 #: Photos that look further aside than this are drawn as such.
 OBLIQUE_PITCH_DEG = -80.0
 #: What a run of this demonstration leaves in its folder, and clears away at the next.
@@ -202,7 +204,7 @@ class Demo:
                     process.kill()
 
     def wait_for_camera(self) -> None:
-        until = time.monotonic() + LONGEST_S / 6
+        until = time.monotonic() + READY_S
         while "ready" not in (said := (self.out / "camera.log").read_text(encoding="utf-8")):
             if time.monotonic() > until:
                 raise FieldcalError(f"The simulated camera is not ready: {said.strip()[-300:]}")
