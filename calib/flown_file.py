@@ -50,7 +50,10 @@ _SHAPES = {
     "brown_covariance": (len(BROWN_NAMES), len(BROWN_NAMES)),
 }
 #: Arrays that a file may lack.
-_OPTIONAL = {"reference_covariance": (len(LENS_NAMES), len(LENS_NAMES))}
+_OPTIONAL = {
+    "reference_covariance": (len(LENS_NAMES), len(LENS_NAMES)),
+    "reference_field_px": (len(FIELD_NAMES),),
+}
 #: What reading a damaged file may end in; a flipped bit may ask for a password (RuntimeError).
 _DAMAGE = (ValueError, KeyError, EOFError, OSError, RuntimeError, zipfile.BadZipFile, zlib.error)
 _MAY_BE_INFINITE = ("centre_sigma_m", "rotation_sigma_rad", "lens_sigma")
@@ -82,6 +85,8 @@ class FlownCheck:
     geotag_fault: str | None = None
     #: (35, 35) of the reference that the dome is held against; None: there is none that decides.
     reference_covariance: FloatArray | None = None
+    #: (24,) its residual field: a weak flight shows less of the lens's pattern than there is.
+    reference_field_px: FloatArray | None = None
 
     @property
     def sigma_f_percent(self) -> float:
@@ -151,17 +156,17 @@ def flown_check(result: CheckResult) -> FlownCheck | None:
         launch_up_m=float(np.median(above)) if above and georeference.metric else None,
         photos=tuple(photo.path.name for photo in solution.photos),
         geotag_fault=georeference.fault,
-        reference_covariance=_deciding(result.reference),
+        **_deciding(result.reference),
     )
 
 
-def _deciding(reference: Reference | None) -> FloatArray | None:
-    """Covariance (35, 35) of a reference that decides: the dome against it is no better known."""
+def _deciding(reference: Reference | None) -> dict[str, FloatArray | None]:
+    """What there is of a reference that decides: the dome against it is no better known."""
     if reference is None or reference.lens is None:
-        return None
+        return {}
     if not f_decides(reference.lens.brown.f_px, reference_sigma_f_px(reference)):
-        return None
-    return reference.lens_covariance
+        return {}
+    return {"reference_covariance": reference.lens_covariance, "reference_field_px": reference.lens.field_px}
 
 
 def network_bytes(check: FlownCheck) -> bytes:
@@ -189,8 +194,7 @@ def network_bytes(check: FlownCheck) -> bytes:
         shutter_sigma_m=known.shutter_sigma_m,
     )
     text = about.model_dump_json(by_alias=True)
-    given = check.reference_covariance
-    optional = {} if given is None else {"reference_covariance": given}
+    optional = {name: array for name in _OPTIONAL if (array := getattr(check, name)) is not None}
     out = io.BytesIO()
     np.savez_compressed(
         out,
@@ -300,5 +304,5 @@ def _made(arrays: dict[str, FloatArray], about: _About) -> FlownCheck:
         launch_up_m=about.launch_up_m,
         photos=about.photos,
         geotag_fault=about.geotag_fault,
-        reference_covariance=a.get("reference_covariance"),
+        **{name: a.get(name) for name in _OPTIONAL},
     )

@@ -8,7 +8,7 @@ with any one of the added photos missing. Deterministic.
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache, partial
 from itertools import combinations, starmap
@@ -184,14 +184,22 @@ class Search:
         key = tuple(sorted(photos))
         return Choice(key, self.detours.seconds(key), self.ratio(key))
 
-    def greedy(self, start: Sequence[int] = (), by_time: bool = True, most_s: float = math.inf) -> Choice:
+    def greedy(
+        self,
+        start: Sequence[int] = (),
+        by_time: bool = True,
+        most_s: float = math.inf,
+        among: Collection[int] | None = None,
+    ) -> Choice:
         """Add the photo that helps most (per second in the air) until the criterion is met.
 
-        Given up where that takes more than ``most_s`` or ``MOST_ADDED`` photos.
+        Given up where that takes more than ``most_s`` or ``MOST_ADDED`` photos. ``among``: photos that may be
+        added; None: any of the pool.
         """
         chosen = list(start)
         now = self.none_missing(chosen)
-        left = [i for i in range(len(self.pool)) if i not in chosen and not self._taken(i, chosen)]
+        may = range(len(self.pool)) if among is None else sorted(among)
+        left = [i for i in may if i not in chosen and not self._taken(i, chosen)]
         while left and len(chosen) < MOST_ADDED and self.detours.seconds(chosen) <= most_s:
             # With a photo missing it is worse still.
             if now <= 1.0 and self.holds(chosen):
@@ -278,10 +286,11 @@ class Search:
     def _joint_without(self, photos: tuple[int, ...], one: int) -> Joint:
         return self.worths.joint(photos).without_photo(self.pool.rows[one])
 
-    def best(self, sets: Sequence[Sequence[int]] = ()) -> Choice:
+    def best(self, sets: Sequence[Sequence[int]] = (), parts: Sequence[Collection[int]] = ()) -> Choice:
         """The best choice from several starts: greedy ones, and given sets (orbits, fans).
 
-        Where none meets the criterion, the one that comes nearest to it.
+        Where none meets the criterion, the one that comes nearest to it. ``parts`` of the pool that greedy
+        choices are made from, too: a photo that helps most at first may lead away from the best pass.
         """
         found: list[Choice] = []
         in_time = sorted(sets, key=lambda s: (self.detours.seconds(s), tuple(s)))
@@ -291,11 +300,12 @@ class Search:
             found.append(self.choice(shortest))
         # Small pools are searched from many first photos.
         firsts = sorted(range(len(self.pool)), key=lambda i: (self._with_one((), i), i))
-        starts: list[tuple[int, ...]] = [(), *((i,) for i in firsts[: min(SMALL_POOL // len(firsts), 10)])]
-        for start in starts:
+        few = firsts[: min(SMALL_POOL // len(firsts), 10)]
+        starts = [((), None), *(((i,), None) for i in few), *(((), part) for part in parts)]
+        for start, among in starts:
             for by_time in (True, False):
                 cheapest = min((c.seconds for c in found if c.good), default=math.inf)
-                found.append(self.greedy(start, by_time, 1.5 * cheapest))
+                found.append(self.greedy(start, by_time, 1.5 * cheapest, among))
         good = sorted((c for c in found if c.good), key=lambda c: (c.seconds, c.photos))
         if not good:
             found += [self.choice(one) for one in in_time]

@@ -107,6 +107,14 @@ class PlannedNetwork:
         f, dome = math.sqrt(max(f, 0.0)), math.sqrt(max(dome, 0.0))
         return 100 * f / self.network.lens.brown.f_px, 100 * dome / self.height_agl_m
 
+    @property
+    def reference_sigma_f_percent(self) -> float:
+        """Sigma of the reference's f; 0 where there is none."""
+        if self.reference is None:
+            return 0.0
+        f2 = float(self.f_gradient @ self.reference @ self.f_gradient)
+        return 100 * math.sqrt(max(f2, 0.0)) / self.network.lens.brown.f_px
+
     def dome_beyond_percent(self, head: FloatArray) -> float:
         """The part of the dome's sigma that comes from what the lens model cannot follow."""
         return self._dome_percent(head, self.beyond)

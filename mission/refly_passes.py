@@ -21,6 +21,8 @@ HEIGHTS = (0.8, 1.0, 1.3, 1.6)
 #: views do, too.
 LEAST_HEIGHT, MOST_TILT_DEG = 0.8, 42.5
 LOWEST, _BELOW_CEILING_M = 0.3, 0.2
+#: Single photos are tried at so many of the lowest heights: climbing takes time.
+SINGLE_HEIGHTS = 3
 CIRCLE_PHOTOS = (4, 6, 8, 12)
 #: [C&D]'s eight convergent photos: as high as the survey, here 40 degrees off nadir.
 PAPER_PHOTOS, PAPER_TILT_DEG = 8, 40.0
@@ -157,7 +159,7 @@ def singles(over: Over) -> list[Station]:
     """Photos on a grid of places, heights, directions and tilts that look at the ground around the middle."""
     found = []
     steps = np.arange(-2, 3) * 0.6
-    for factor in _middle(over.heights):
+    for factor in over.heights[:SINGLE_HEIGHTS]:
         for x in steps:
             for y in steps:
                 for tilt in over.tilts_deg:

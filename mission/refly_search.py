@@ -43,12 +43,14 @@ _ROUNDS = 3
 #: What the thinned search lacks, mostly; a pass so near to what is asked for is not searched again; photos
 #: that are left out on trial at the end.
 _FIRST_SHARE, _CLOSE, _TRIMS = 1.15, 0.9, 3
-#: Sigma of f with which the check trusts a camera that has not changed 99 times of 100: an error as large as
-#: it has once in a hundred flights (2.58 sigma) is still within the limit at 95 %.
-CURED_SIGMA_F_PERCENT = FOCAL_LIMIT_PERCENT / (Z95 + 2.58)
-#: The dome's sigma is mostly a bound on what the lens model cannot follow, not chance: 1.96 of it and as much
-#: as half of one besides are within [C&D]'s 0.1 % of the height.
-CURED_DOME_PERCENT = 0.04
+#: Sigma of f against the reference with which the check trusts a camera that has not changed: an error as
+#: large as it has five times in a thousand flights (2.8 sigma) is still within the limit at 95 %.
+CURED_SIGMA_F_PERCENT = FOCAL_LIMIT_PERCENT / (Z95 + 2.8)
+#: However little of that the reference leaves: less is not asked of f.
+LEAST_SIGMA_F_PERCENT = 0.6 * CURED_SIGMA_F_PERCENT
+#: The dome's sigma is mostly a bound on what the lens model cannot follow: errors are about half of it, and
+#: 1.96 of it and 1.6 such errors are within [C&D]'s 0.1 % of the height.
+CURED_DOME_PERCENT = 0.035
 #: Of the fewest convergent photos that the check asks for, so many may fail: at 5 % each, two of four do so
 #: once in seventy flights, three of five once in eight hundred.
 SPARE_PHOTOS = 2
@@ -105,11 +107,16 @@ def criterion_for(planned: PlannedNetwork) -> Criterion:
     axis = planned.network.rotations[:, 2, :]
     tilt = np.degrees(np.arccos(np.clip(-axis[:, 2], -1, 1)))
     oblique = int((tilt >= CONVERGENT_DEG).sum())
+    sigma_f = cured_sigma_f_percent(planned.reference_sigma_f_percent)
     if 100 * oblique >= CONVERGENT_LIMIT_PERCENT * (len(tilt) + LEAST_CONVERGENT):
-        return Criterion(CURED_SIGMA_F_PERCENT, CURED_DOME_PERCENT)
-    return Criterion(
-        CURED_SIGMA_F_PERCENT, CURED_DOME_PERCENT, max(LEAST_CONVERGENT - oblique, 0) + SPARE_PHOTOS
-    )
+        return Criterion(sigma_f, CURED_DOME_PERCENT)
+    return Criterion(sigma_f, CURED_DOME_PERCENT, max(LEAST_CONVERGENT - oblique, 0) + SPARE_PHOTOS)
+
+
+def cured_sigma_f_percent(reference_percent: float) -> float:
+    """Sigma of f that a pass has to reach, beside a reference whose own is ``reference_percent``."""
+    left = CURED_SIGMA_F_PERCENT**2 - reference_percent**2
+    return max(math.sqrt(max(left, 0.0)), LEAST_SIGMA_F_PERCENT)
 
 
 def place_of_pass(planned: PlannedNetwork) -> FloatArray:
@@ -246,7 +253,7 @@ class PassSearch:
             choice = hunt.greedy((), by_time=False)
             many = len(choice.photos) > MANY_PHOTOS
             if not many:
-                choice = hunt.best([photos for photos, _ in self.shapes if len(photos) > 2])
+                choice = hunt.best([photos for photos, _ in self.shapes if len(photos) > 2], self._parts())
                 choice = self._improved(hunt, choice)
             first = self.found(choice.photos)
             now = self._trimmed(choice.photos) if first.good and not many else first
@@ -258,6 +265,11 @@ class PassSearch:
         if found is None:
             raise ValueError("a search needs rounds")
         return found
+
+    def _parts(self) -> list[list[int]]:
+        """The pool without the photos that are lower than the survey's."""
+        least_m = self.ground_m + 0.95 * self.planned.height_agl_m
+        return [[i for i, s in enumerate(self.candidates.stations) if s.height_m > least_m]]
 
     def _eased(self, share: float) -> Search:
         """A search under limits ``share`` times those asked for."""

@@ -18,6 +18,7 @@ from calib.align.uncertainty import beyond_field
 from calib.brownfit import fit_brown
 from calib.camera import BROWN_NAMES, FloatArray
 from calib.errors import InputError
+from calib.field import Lens
 from calib.flown import FlownNetwork
 from calib.flown_file import FlownCheck
 from calib.frames import LocalFrame
@@ -178,6 +179,14 @@ def hidden_shutter(check: FlownCheck) -> bool:
     return float(chdtrc(2, size)) < SHUTTER_P
 
 
+def _with_its_pattern(lens: Lens, check: FlownCheck) -> Lens:
+    """The lens with as much of a pattern as it has: a weak flight shows less of it than the reference."""
+    known = check.reference_field_px
+    if known is None or float(np.sum(known**2)) <= float(np.sum(lens.field_px**2)):
+        return lens
+    return replace(lens, field_px=known)
+
+
 def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
     """The network as the search takes it, with the block's own noise, tie points and priors."""
     lens = flown.network.lens
@@ -214,7 +223,7 @@ def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
         net.centres_m, known.centre_sigma_m, net.rotations, known.rotation_sigma_rad, lens.vector,
         known.lens_sigma,
     )  # fmt: skip
-    beyond = beyond_field(lens, free, priors)[np.ix_(free, free)]
+    beyond = beyond_field(_with_its_pattern(lens, check), free, priors)[np.ix_(free, free)]
     # The flight's own tie points are those matched at its own angles already.
     angles = nearest_view_deg(net.photo, net.point, net.centres_m, net.points_m)
     own_share = max(float(np.mean(SIMULATED.share(angles))), flown.matched_share)

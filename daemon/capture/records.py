@@ -5,7 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 #: A pair at least this probable is called sure.
-SURE = 0.995
+SURE = 0.9925
 
 
 @dataclass(frozen=True)
