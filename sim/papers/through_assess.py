@@ -116,6 +116,7 @@ def _answers(cloud: Path, truth: Path) -> dict[str, Any]:
         "at_points": made.at_points_m,
         "dome": [bowl.amplitude_m, bowl.sigma_m, bowl.chance],
         "trend": None if trend is None else [trend.slope, trend.sigma],
+        "trend_told": trend is not None and trend.told,
     }
 
 
