@@ -36,6 +36,12 @@ _SEARCH_M = 15.0
 #: Rounds of the adjustment with coarse surfaces, which need not settle, and with the finest.
 _COARSE_ROUNDS, _ROUNDS = 3, 15
 _CELLS = 6
+#: Nothing is looked for further from no error than so many sigmas of the prior.
+_FURTHEST = 2.5
+#: Half of the noise in what is left is the reference's, which goes with the scale, half the cloud's.
+_NOISE_OF_REFERENCE = 0.5
+#: Times that the cloud is cut out anew around points that have moved off it.
+_CUTS = 4
 #: A combination of the seven counts where at least this share of its slopes is relief and not noise.
 _RELIEF_SHARE = 0.5
 #: What a dome may amount to before any point is looked at; looked for with so many points at least.
@@ -102,11 +108,17 @@ def register(
     for radius in radii[:-1]:
         sampler = coarse.thinned(radius)
         values = _fit(values, reference, on, sampler, shift, _COARSE_ROUNDS).values
-    fine = near_places(cloud, _moved_xy(values, reference) - shift[:2], 3 * finest + 0.5)
-    if fine is None:
-        raise InputError("No reference point lies over the cloud.")
-    radius = radius_m or fine.natural_radius_m
-    found = _fit(values, reference, on, fine.thinned(radius), shift, _ROUNDS)
+    reach = 3 * finest + 0.5
+    for _ in range(_CUTS):
+        places = _moved_xy(values, reference)
+        fine = near_places(cloud, places - shift[:2], reach)
+        if fine is None:
+            raise InputError("No reference point lies over the cloud.")
+        radius = radius_m or fine.natural_radius_m
+        found = _fit(values, reference, on, fine.thinned(radius), shift, _ROUNDS)
+        values = found.values
+        if np.linalg.norm(_moved_xy(values, reference) - places, axis=1).max() < reach - radius:
+            break
     return _finished(found, reference, on, origin, radius)
 
 
@@ -142,7 +154,10 @@ def _residuals(values: FloatArray, reference: FloatArray, heights: Heights) -> t
     moved = similarity_of(values).apply(reference)
     directions = np.column_stack([heights.slope, -np.ones(len(reference))])
     derivatives = np.einsum("nj,njp->np", directions, seven_derivatives(values, reference))
-    return heights.height_m - moved[:, 2], derivatives
+    residual = heights.height_m - moved[:, 2]
+    # Else a smaller scale would fit better on flat ground: it makes the noise of the heights smaller.
+    derivatives[:, 6] -= _NOISE_OF_REFERENCE * residual / values[6]
+    return residual, derivatives
 
 
 def _spread(residual: FloatArray) -> float:
@@ -186,7 +201,10 @@ def _fit(
         straight = residual - bend @ state[7:]
         middle = float(np.median(straight[there]))
         used = there & (np.abs(straight - middle) <= OUTLIER_SIGMAS * _spread(straight[there]))
-        variance = max(float(np.mean((straight[used] - middle) ** 2)), 1e-12)
+        rest = straight[used] - middle
+        # Neighbours that share an error would else outvote what is known beforehand: on flat ground the
+        # points shrink into the middle, where they fit best.
+        variance = max(float(np.mean(rest**2)) * correlation(reference[used], rest, len(sigmas)), 1e-12)
         design = np.column_stack([derivatives[used], -bend[used]])
         # A surface's slopes are noisy; their squares would pass for relief that is not there.
         by_slope = seven_derivatives(values, reference[used])[:, :2]
@@ -204,7 +222,7 @@ def _fit(
         movement = np.abs(design @ step).max()
         if round_ and movement < 0.002 * np.sqrt(variance):
             break
-        state = state + step
+        state = np.clip(state + step, start - _FURTHEST * sigmas, start + _FURTHEST * sigmas)
     return _Fit(values, used, residual, straight, derivatives, information, variance, sigmas)
 
 
