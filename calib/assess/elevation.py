@@ -17,12 +17,14 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.linalg import cho_solve, cholesky
 
 from calib.assess.model import ElevationTrend, elevation_trend
 from calib.camera import FloatArray
 
+BoolArray = NDArray[np.bool_]
 #: A slope that is not known to this is not told: 3 % of heights, a focal length 3 % off.
 TOLD_SIGMA = 0.03
 #: Fewer points than this leave nothing to judge a sigma by.
@@ -71,7 +73,7 @@ def robust_trend(
     site = float(np.ptp(centred[:, :2], axis=0).max())
     size, axes = np.linalg.eigh(covariance)
     left_open = derivatives @ (axes * np.sqrt(np.maximum(size, 0)))
-    half = np.random.default_rng(0).permutation(len(centred)) % 2 == 0
+    half = other_half(len(centred))
     halves = [_gathered(centred[mine], residual_m[mine], left_open[mine], site) for mine in (half, ~half)]
     slope, sigma = _averaged(halves, site)
     return replace(plain, slope=slope, sigma=sigma, told=sigma <= TOLD_SIGMA)
@@ -93,18 +95,33 @@ def _gathered(xyz: FloatArray, residual: FloatArray, left_open: FloatArray, site
     return _Places(mean(xyz), mean(residual[:, None])[:, 0], mean(left_open), count)
 
 
-def _from_others(places: _Places, others: _Places) -> FloatArray:
-    """Elevation at places (m,) from other points alone, so without the noise of their own heights."""
+def other_half(count: int) -> BoolArray:
+    """Which of so many points (count,) belong to the first of two halves, always the same."""
+    chosen: BoolArray = np.random.default_rng(0).permutation(count) % 2 == 0
+    return chosen
+
+
+def elevation_from_others(points_m: FloatArray) -> FloatArray:
+    """Elevation of each point (n, 3) from those of the other half, so without its own height's noise (n,)."""
+    half = other_half(len(points_m))
+    found = np.empty(len(points_m))
+    for mine in (half, ~half):
+        found[mine] = _from_others(points_m[mine], points_m[~mine])
+    return found
+
+
+def _from_others(places: FloatArray, others: FloatArray) -> FloatArray:
+    """Elevation at places (m, 3) from other points (o, 3) alone."""
     surface = RBFInterpolator(
-        others.xyz[:, :2], others.xyz[:, 2], min(_NEIGHBOURS, len(others.xyz)), kernel="linear", degree=1
+        others[:, :2], others[:, 2], neighbors=min(_NEIGHBOURS, len(others)), kernel="linear", degree=1
     )
-    return np.asarray(surface(places.xyz[:, :2]))
+    return np.asarray(surface(places[:, :2]))
 
 
 def _averaged(halves: list[_Places], site: float) -> tuple[float, float]:
     """Slope and sigma, averaged over models of the correlation by how well they explain the residuals."""
     one, two = halves
-    instrument = np.concatenate([_from_others(one, two), _from_others(two, one)])
+    instrument = np.concatenate([_from_others(one.xyz, two.xyz), _from_others(two.xyz, one.xyz)])
     xyz = np.concatenate([one.xyz, two.xyz])
     residual = np.concatenate([one.residual, two.residual])
     left_open = np.concatenate([one.open, two.open])

@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.assess.elevation import BoolArray, elevation_from_others
 from calib.assess.local import Heights, Neighbourhood, Sampler, near_places
 from calib.assess.model import Seven, seven_derivatives, seven_parameters, similarity_of
 from calib.camera import FloatArray
@@ -20,7 +20,6 @@ from calib.clouds import LoadedCloud
 from calib.errors import InputError
 from calib.similarity import fit_robust
 
-BoolArray = NDArray[np.bool_]
 #: What is known of the seven before any point is looked at: m, degrees, percent ([C&D] Table 4, doubled).
 PRIOR_SIGMAS = np.array([10.0, 10.0, 1000.0, 5.0, 5.0, 5.0, 10.0])
 NO_ERROR = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 100.0])
@@ -38,8 +37,9 @@ _COARSE_ROUNDS, _ROUNDS = 3, 15
 _CELLS = 6
 #: Nothing is looked for further from no error than so many sigmas of the prior.
 _FURTHEST = 2.5
-#: Half of the noise in what is left is the reference's, which goes with the scale, half the cloud's.
-_NOISE_OF_REFERENCE = 0.5
+#: Elevations from the other half of the points are taken where they differ by less than so many times of
+#: what is left, with so many points at least.
+_SMOOTH, _FEWEST_HALVES = 4.0, 20
 #: Times that the cloud is cut out anew around points that have moved off it.
 _CUTS = 4
 #: A combination of the seven counts where at least this share of its slopes is relief and not noise.
@@ -154,10 +154,7 @@ def _residuals(values: FloatArray, reference: FloatArray, heights: Heights) -> t
     moved = similarity_of(values).apply(reference)
     directions = np.column_stack([heights.slope, -np.ones(len(reference))])
     derivatives = np.einsum("nj,njp->np", directions, seven_derivatives(values, reference))
-    residual = heights.height_m - moved[:, 2]
-    # Else a smaller scale would fit better on flat ground: it makes the noise of the heights smaller.
-    derivatives[:, 6] -= _NOISE_OF_REFERENCE * residual / values[6]
-    return residual, derivatives
+    return heights.height_m - moved[:, 2], derivatives
 
 
 def _spread(residual: FloatArray) -> float:
@@ -187,6 +184,8 @@ def _fit(
 ) -> _Fit:
     """Gauss-Newton with outliers left out; slopes' own noise does not count as information."""
     bend = _bend(reference, on)
+    enough = len(reference) >= _FEWEST_HALVES
+    others = elevation_from_others(reference) if enough else np.full(len(reference), np.inf)
     state = np.concatenate([values, np.zeros(3)])
     sigmas = np.concatenate([PRIOR_SIGMAS, np.full(3, _BEND_SIGMA_M)])
     start = np.concatenate([NO_ERROR, np.zeros(3)])
@@ -206,6 +205,12 @@ def _fit(
         # points shrink into the middle, where they fit best.
         variance = max(float(np.mean(rest**2)) * correlation(reference[used], rest, len(sigmas)), 1e-12)
         design = np.column_stack([derivatives[used], -bend[used]])
+        own = reference[used, 2] - others[used]
+        if float(np.mean(own**2)) < _SMOOTH**2 * float(np.mean(rest**2)):
+            # The heights' own noise is in what is left and in the derivative by the scale: on flat ground
+            # the site would shrink, for that makes the noise smaller.
+            by_height = np.column_stack([heights.slope[used], -np.ones(len(own))])
+            design[:, 6] -= own * (by_height @ similarity_of(values).rotation[:, 2]) / 100
         # A surface's slopes are noisy; their squares would pass for relief that is not there.
         by_slope = seven_derivatives(values, reference[used])[:, :2]
         noise = np.zeros((10, 10))
