@@ -1,8 +1,8 @@
 """`fieldcal assess` against CloudCompare on the same files, and against the clock.
 
 `python -m benchmarks.assess` writes benchmarks/assess.md: 20 million points as LAZ (whole command, wall
-and CPU seconds, peak memory), and, where CloudCompare is installed, its registration and its distances to the
-mesh.
+and CPU seconds, peak memory), with `--large` a PLY of 3 GB as well, and, where CloudCompare is installed, its
+registration and its distances to the mesh. `--folder` says where the files may lie for the while.
 """
 
 from __future__ import annotations
@@ -13,6 +13,7 @@ import shutil
 import subprocess
 import sys
 import tempfile
+from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -20,7 +21,7 @@ import laspy
 import numpy as np
 from scipy.spatial import Delaunay
 
-from benchmarks.cost import Cost, measure
+from benchmarks.cost import measure
 from calib.assess.model import Surface, similarity_of
 from calib.assess.register import register
 from calib.camera import FloatArray
@@ -30,6 +31,8 @@ from calib.similarity import Similarity
 HERE = Path(__file__).parent
 #: M7 of both parts, about the middle: m, degrees, percent.
 VALUES = np.array([0.3, -0.2, 0.4, 0.2, 0.1, -0.15, 100.3])
+#: A PLY of 3.1 GB, and points written at a time.
+LARGE_POINTS, _PIECE = 115_000_000, 1_000_000
 _OFFSET = np.array([500_000.0, 5_600_000.0, 100.0])
 
 
@@ -40,19 +43,38 @@ def ground_m(x: FloatArray, y: FloatArray) -> FloatArray:
 
 
 def write_large(path: Path, points: int, half_m: float = 100.0) -> None:
-    """A LAZ file of random points over the hills, with 3 cm of noise, moved by ``VALUES``."""
-    rng = np.random.default_rng(0)
+    """A LAZ or LAS file of random points over the hills, with 3 cm of noise, moved by ``VALUES``."""
     header = laspy.LasHeader(point_format=3, version="1.4")
     header.offsets, header.scales = _OFFSET, np.full(3, 0.001)
     with laspy.open(path, mode="w", header=header, do_compress=path.suffix == ".laz") as file:
-        for start in range(0, points, 1_000_000):
-            n = min(1_000_000, points - start)
-            xy = rng.uniform(-half_m, half_m, (n, 2))
-            xyz = similarity_of(VALUES).apply(np.column_stack([xy, ground_m(*xy.T)]))
-            xyz[:, 2] += 0.03 * rng.normal(size=n)
-            record = laspy.ScaleAwarePointRecord.zeros(n, header=header)
-            record.x, record.y, record.z = (xyz + _OFFSET).T
+        for xyz in _pieces(points, half_m):
+            record = laspy.ScaleAwarePointRecord.zeros(len(xyz), header=header)
+            record.x, record.y, record.z = xyz.T
             file.write_points(record)
+
+
+def write_large_ply(path: Path, points: int, half_m: float = 100.0) -> None:
+    """The same as a binary PLY of doubles with a colour, 27 bytes a point."""
+    row = np.dtype([("xyz", "<f8", 3), ("rgb", "u1", 3)])
+    head = f"ply\nformat binary_little_endian 1.0\nelement vertex {points}\n"
+    head += "".join(f"property double {axis}\n" for axis in "xyz")
+    head += "".join(f"property uchar {colour}\n" for colour in ("red", "green", "blue")) + "end_header\n"
+    with path.open("wb") as file:
+        file.write(head.encode())
+        for xyz in _pieces(points, half_m):
+            rows = np.zeros(len(xyz), row)
+            rows["xyz"] = xyz
+            rows.tofile(file)
+
+
+def _pieces(points: int, half_m: float) -> Iterator[FloatArray]:
+    rng = np.random.default_rng(0)
+    for start in range(0, points, _PIECE):
+        n = min(_PIECE, points - start)
+        xy = rng.uniform(-half_m, half_m, (n, 2))
+        xyz = similarity_of(VALUES).apply(np.column_stack([xy, ground_m(*xy.T)]))
+        xyz[:, 2] += 0.03 * rng.normal(size=n)
+        yield xyz + _OFFSET
 
 
 def write_references(path: Path, count: int, half_m: float = 90.0) -> None:
@@ -62,19 +84,40 @@ def write_references(path: Path, count: int, half_m: float = 90.0) -> None:
     path.write_text("\n".join(["name,x,y,z", *rows]) + "\n")
 
 
-def timed(points: int, work: Path) -> Cost:
-    """The whole command, report and start of Python included."""
-    write_large(work / "large.laz", points)
+@dataclass(frozen=True)
+class Timed:
+    """One file through the command: what it is, its size, what it took, and the load of the machine."""
+
+    kind: str
+    points: int
+    gigabytes: float
+    cpu_s: float
+    wall_s: float
+    peak_mb: float
+    load: float
+
+
+def timed(kind: str, points: int, work: Path) -> Timed:
+    """The whole command, report and start of Python included.
+
+    Raises:
+        SystemExit: the command did not end well.
+    """
+    cloud = work / f"large.{kind.lower()}"
+    (write_large_ply if kind == "PLY" else write_large)(cloud, points)
     write_references(work / "truth.csv", 500)
     cost = measure(
         [
-            sys.executable, "-m", "daemon.cli", "assess", str(work / "large.laz"), "--truth",
+            sys.executable, "-m", "daemon.cli", "assess", str(cloud), "--truth",
             str(work / "truth.csv"), "--out", str(work / "out"), "--quiet",
         ]
     )  # fmt: skip
+    size = cloud.stat().st_size
+    cloud.unlink()
     if cost.code != 0:
         raise SystemExit(f"fieldcal assess ended with exit code {cost.code}.")
-    return cost
+    load = os.getloadavg()[0]
+    return Timed(kind, points, size / 1e9, cost.cpu_s, cost.wall_s, cost.peak_mb, load)
 
 
 # --- CloudCompare ----------------------------------------------------------------------------------
@@ -180,9 +223,11 @@ def _distances(
 
 
 _TIME = (
-    "{million:g} million points as LAZ, 500 reference points, whole command, report and Python's start "
-    "included, niced. Load of the machine: {load:.1f} on {cores} cores; wall seconds are longer for it."
+    "Whole command, report and Python's start included, 500 reference points. Of more than 50 million points "
+    "every second, third, ... is taken, which the report says: memory does not grow with the file. {cores} "
+    "cores; the load is what else they had to do, and wall seconds are longer for it."
 )
+_BESIDE = "## Beside CloudCompare"
 _PEER = (
     "Registration: 1500 points that are in a cloud of 60 000 exactly, seven parameters unknown. Distances: "
     "20 000 points, 5 cm of noise, to the mesh of 600 points; ours, which are vertical, times the cosine of "
@@ -191,17 +236,23 @@ _PEER = (
 )
 
 
-def page(points: int, cost: Cost | None, peer: Peer | None) -> str:
+def page(rows: list[Timed], peer: Peer | None, old: str = "") -> str:
+    """The page; without CloudCompare what the ``old`` page says of it stays."""
     lines = ["# Assessment: against the clock, and beside CloudCompare", "", (__doc__ or "").split("\n\n")[1]]
-    if cost is not None:
-        load, cores = os.getloadavg()[0], os.cpu_count()
-        lines += ["## Time", "", _TIME.format(million=points / 1e6, load=load, cores=cores), ""]
-        lines += ["| points | CPU s | wall s | peak MB |", "|---|---|---|---|"]
-        lines += [f"| {points} | {cost.cpu_s:.0f} | {cost.wall_s:.0f} | {cost.peak_mb:.0f} |", ""]
-    lines += ["## Beside CloudCompare", ""]
+    if rows:
+        lines += ["## Time and memory", "", _TIME.format(cores=os.cpu_count()), ""]
+        lines += ["| file | points | GB | CPU s | wall s | load | peak MB |", "|---|---|---|---|---|---|---|"]
+        lines += [
+            f"| {r.kind} | {r.points} | {r.gigabytes:.2f} | {r.cpu_s:.0f} | {r.wall_s:.0f} | {r.load:.1f} "
+            f"| {r.peak_mb:.0f} |"
+            for r in rows
+        ]
+        lines.append("")
     if peer is None:
-        return "\n".join([*lines, "Not installed where this was made."]) + "\n"
-    rows = {
+        _, _, kept = old.partition(_BESIDE)
+        return "\n".join([*lines, _BESIDE]) + (kept or "\n\nNot installed where this was made.\n")
+    lines += [_BESIDE, ""]
+    found = {
         "registration, ours against CloudCompare's, largest": (peer.registration_m,),
         "registration, ours against the truth, largest": (peer.ours_m,),
         "registration, CloudCompare's against the truth, largest": (peer.theirs_m,),
@@ -212,7 +263,7 @@ def page(points: int, cost: Cost | None, peer: Peer | None) -> str:
     lines += [_PEER, "", "| quantity | mm |", "|---|---|"]
     lines += [
         f"| {name} | {', '.join(f'{1000 * value:.3f}' for value in values)} |"
-        for name, values in rows.items()
+        for name, values in found.items()
     ]
     return "\n".join(lines) + "\n"
 
@@ -220,14 +271,19 @@ def page(points: int, cost: Cost | None, peer: Peer | None) -> str:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--points", type=int, default=20_000_000)
+    parser.add_argument("--large", action="store_true", help=f"a PLY of {LARGE_POINTS} points as well")
     parser.add_argument("--no-time", action="store_true", help="only the comparison")
+    parser.add_argument("--folder", type=Path, help="for the files, which are removed again")
     given = parser.parse_args()
-    with tempfile.TemporaryDirectory() as folder:
+    sizes = [] if given.no_time else [("LAZ", given.points)] + [("PLY", LARGE_POINTS)] * given.large
+    with tempfile.TemporaryDirectory(dir=given.folder) as folder:
         work = Path(folder)
         command = cloudcompare()
         peer = None if command is None else compare(command, work)
-        cost = None if given.no_time else timed(given.points, work)
-    (HERE / "assess.md").write_text(page(given.points, cost, peer), encoding="utf-8")
+        rows = [timed(kind, points, work) for kind, points in sizes]
+    out = HERE / "assess.md"
+    old = out.read_text(encoding="utf-8") if out.exists() else ""
+    out.write_text(page(rows, peer, old), encoding="utf-8")
 
 
 if __name__ == "__main__":

@@ -47,6 +47,8 @@ SIGNIFICANT_P = 0.01
 MARK_SIGMA_PX = 0.5
 POINT_SIGMA_M = 0.005
 LEAST_PHOTOS, LEAST_MARKS = 3, 5
+#: Marks that all lie within this share of the photo from its corner are in other units.
+_CORNER = 0.05
 #: In photos whose pose is known otherwise.
 LEAST_PLACED_MARKS = 4
 #: Probability that any of the good marks of a set is called a blunder (standardised residuals, Baarda 1968).
@@ -191,6 +193,12 @@ def prepare(
     control = np.array([not point.check for point in chosen])
     require_shape(xyz[control])
     camera = by_name[files[0]].camera
+    if max(max(abs(m.u_px), abs(m.v_px)) for m in usable) < _CORNER * max(camera.width, camera.height):
+        raise InputError(
+            f"All marks lie in one corner of the photos ({camera.width} x {camera.height} px): are they in "
+            "mm from the middle of the sensor? column = width / 2 + x / pixel size, row = height / 2 - y / "
+            "pixel size."
+        )
     # A mark at the very edge may lie a little outside.
     room = 0.01 * max(camera.width, camera.height)
     outside = [

@@ -32,6 +32,10 @@ _PHOTOS = ("photo", "image", "file", "filename", "image_name")
 #: Columns of Pix4D's files, which name none.
 _PIX4D_POINTS = ("name", "x", "y", "z", "sigma_xy_m", "sigma_z_m")
 _PIX4D_MARKS = ("photo", "point", "u_px", "v_px", "precision", "zoom")
+_OTHER_PROGRAMS = (
+    " Image measurements of VMS and Australis have no published layout and are not read; save them as CSV "
+    "with the columns photo,point,u_px,v_px, in pixels from the picture's upper left corner."
+)
 _U, _V = ("u", "u_px", "px", "column", "x_px", "im_x"), ("v", "v_px", "py", "row", "y_px", "im_y")
 
 
@@ -110,7 +114,7 @@ def read_marks(path: Path) -> Marks:
     lowered = first.lower()
     if lowered.startswith(("epsg:", "+proj", "wgs84")):
         return _odm(path, text)
-    rows, columns = _table(path, _PIX4D_MARKS)
+    rows, columns = _table(path, _PIX4D_MARKS, _OTHER_PROGRAMS)
     photo = _column(path, columns, _PHOTOS, "photo")
     point = _column(path, columns, _NAMES, "point")
     u, v = _column(path, columns, _U, "u_px"), _column(path, columns, _V, "v_px")
@@ -222,16 +226,19 @@ def read_table_text(path: Path) -> str:
         raise FormatError(f"{path} is not a text file.") from error
 
 
-def _table(path: Path, unnamed: tuple[str, ...]) -> tuple[list[tuple[int, list[str]]], dict[str, int]]:
+def _table(
+    path: Path, unnamed: tuple[str, ...], hint: str = ""
+) -> tuple[list[tuple[int, list[str]]], dict[str, int]]:
     """Rows with their line numbers, and the columns by their lower-case names.
 
-    ``unnamed``: what the columns are where the first line names none, as Pix4D writes them.
+    ``unnamed``: what the columns are where the first line names none, as Pix4D writes them. ``hint`` goes on
+    where the file is no table at all.
     """
     text = read_table_text(path)
     first = text.split("\n", 1)[0]
     delimiter = max(",;\t", key=first.count)
     if first.count(delimiter) == 0:
-        raise FormatError(f"{path} is not a CSV table: its first line must name the columns.")
+        raise FormatError(f"{path} is not a CSV table: its first line must name the columns.{hint}")
     rows = list(csv.reader(io.StringIO(text), delimiter=delimiter))
     named = not any(map(is_number, rows[0][1:]))
     header = rows[0] if named else unnamed[: len(rows[0])]

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import subprocess
+import sys
 from pathlib import Path
 
 import laspy
@@ -10,6 +12,7 @@ import pytest
 import rasterio
 from rasterio.transform import from_origin
 
+from benchmarks.assess import write_large_ply, write_references
 from calib.assess.model import similarity_of
 from calib.camera import FloatArray
 from calib.clouds import Kind, load_cloud, open_cloud, rewrite
@@ -145,6 +148,42 @@ def test_larger_clouds_are_thinned_evenly(name: str, tmp_path: Path) -> None:
     assert loaded.total == N
     assert loaded.step > 1
     assert any("one in" in note for note in loaded.notes)
+
+
+_ASSESSED = """
+import subprocess
+import sys
+from pathlib import Path
+from calib.assess.study import assess_cloud
+from calib.assess.truth import read_truth
+from calib.clouds import load_cloud, open_cloud
+cloud, truth = map(Path, sys.argv[1:])
+made = assess_cloud(load_cloud(open_cloud(cloud), 400_000), read_truth(truth, None, None))
+assert made.cloud.step > 1 and len(made.cloud.xyz) <= 400_000
+assert abs(made.registration.seven.values[2] - 0.4) < 0.05
+# Not the usage of resources, in which the memory of the parent counts.
+print(next(line for line in open("/proc/self/status") if line.startswith("VmHWM")).split()[1])
+"""
+
+
+@pytest.mark.skipif(not Path("/proc/self/status").exists(), reason="no /proc")
+def test_memory_does_not_grow_with_the_cloud(tmp_path: Path) -> None:
+    """Five million points beside three, both thinned to at most 400 000."""
+    write_references(tmp_path / "truth.csv", 100)
+    write_large_ply(tmp_path / "million.ply", 1_000_000)
+    head, body = (tmp_path / "million.ply").read_bytes().split(b"end_header\n", 1)
+    peak_mb = []
+    for millions in (3, 5):
+        with (tmp_path / "large.ply").open("wb") as file:
+            file.write(head.replace(b"1000000", b"%d000000" % millions) + b"end_header\n")
+            for _ in range(millions):
+                file.write(body)
+        command = [sys.executable, "-c", _ASSESSED, tmp_path / "large.ply", tmp_path / "truth.csv"]
+        ran = subprocess.run(command, check=True, capture_output=True, text=True)
+        peak_mb.append(int(ran.stdout) / 1024)
+    # Two million points more are 54 MB of file, and 48 MB if all were kept (12 bytes, twice for a while).
+    assert peak_mb[1] - peak_mb[0] < 30
+    assert peak_mb[1] < 400
 
 
 def test_coarse_coordinates_are_said(tmp_path: Path) -> None:

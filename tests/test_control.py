@@ -261,6 +261,10 @@ def test_bad_points(text: str, said: str, tmp_path: Path) -> None:
         ("<document>", "not valid XML"),
         ("photo,point,u,v\na.jpg,A,1,2\nA.JPG,A,1,3\n", "marked twice"),
         ("EPSG:4326\n1 2 3 4\n", "are expected"),
+        (
+            "101  -3.1423   2.0871  0.0004\n102   1.2210  -0.4410  0.0004\n",
+            "VMS and Australis .* photo,point",
+        ),
     ],
 )
 def test_bad_marks(text: str, said: str, tmp_path: Path) -> None:
@@ -284,6 +288,10 @@ def test_bad_sets() -> None:
         prepare(photos, points[:5], marks)
     with pytest.raises(InputError, match="another size"):
         prepare(photos, points, [replace(m, u_px=m.u_px * 10) for m in marks])
+    width, height = photos[0].camera.width, photos[0].camera.height
+    in_mm = [replace(m, u_px=(m.u_px - width / 2) * 0.017, v_px=(height / 2 - m.v_px) * 0.017) for m in marks]
+    with pytest.raises(InputError, match=r"are they in mm .* column = width / 2"):
+        prepare(photos, points, in_mm)
     swapped = [replace(p, xyz_m=(p.xyz_m[1], p.xyz_m[0], p.xyz_m[2])) for p in points]
     used, kept, chosen, _ = prepare(photos, swapped, marks)
     assert isinstance(used, MarkSet)

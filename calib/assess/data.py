@@ -47,11 +47,15 @@ class BowlModel(JsonModel):
 
 
 class TrendModel(JsonModel):
-    """eta against elevation: an error of the vertical scale."""
+    """eta against elevation: an error of the vertical scale.
+
+    ``told`` false: the ground is too flat for it; ``sigma`` null: it has no relief beyond its noise.
+    """
 
     slope: float
-    sigma: float
+    sigma: float | None
     correlation: float
+    told: bool
 
 
 class ProfileModel(JsonModel):
@@ -146,7 +150,12 @@ def assessment_report(made: CloudAssessment) -> AssessmentReport:
         ),
         elevation=None
         if made.trend is None
-        else TrendModel(slope=made.trend.slope, sigma=made.trend.sigma, correlation=made.trend.correlation),
+        else TrendModel(
+            slope=made.trend.slope,
+            sigma=finite(made.trend.sigma),
+            correlation=made.trend.correlation,
+            told=made.trend.told,
+        ),
         profiles=[
             ProfileModel(
                 name=printable(one.line.name),

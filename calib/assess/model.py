@@ -121,11 +121,15 @@ class Surface:
 
 @dataclass(frozen=True)
 class ElevationTrend:
-    """eta = slope x elevation + constant: ``slope`` is the error of the vertical scale, with sigma."""
+    """eta = slope x elevation + constant: ``slope`` is the error of the vertical scale, with sigma.
+
+    ``told``: the ground has relief enough to tell it.
+    """
 
     slope: float
     sigma: float
     correlation: float
+    told: bool = True
 
 
 @dataclass(frozen=True)
@@ -195,7 +199,7 @@ def profile(
 
 
 def elevation_trend(elevation_m: FloatArray, eta_m: FloatArray) -> ElevationTrend:
-    """Regression of eta (n,) on elevation (n,) ([C&D] fig. 9).
+    """Plain regression of eta (n,) on elevation (n,), errors taken as independent ([C&D] fig. 9).
 
     Raises:
         InputError: fewer than three points or all at one elevation.

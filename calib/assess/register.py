@@ -11,8 +11,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.assess.elevation import BoolArray, elevation_from_others
 from calib.assess.local import Heights, Neighbourhood, Sampler, near_places
 from calib.assess.model import Seven, seven_derivatives, seven_parameters, similarity_of
 from calib.camera import FloatArray
@@ -20,7 +20,6 @@ from calib.clouds import LoadedCloud
 from calib.errors import InputError
 from calib.similarity import fit_robust
 
-BoolArray = NDArray[np.bool_]
 #: What is known of the seven before any point is looked at: m, degrees, percent ([C&D] Table 4, doubled).
 PRIOR_SIGMAS = np.array([10.0, 10.0, 1000.0, 5.0, 5.0, 5.0, 10.0])
 NO_ERROR = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 100.0])
@@ -36,6 +35,13 @@ _SEARCH_M = 15.0
 #: Rounds of the adjustment with coarse surfaces, which need not settle, and with the finest.
 _COARSE_ROUNDS, _ROUNDS = 3, 15
 _CELLS = 6
+#: Nothing is looked for further from no error than so many sigmas of the prior.
+_FURTHEST = 2.5
+#: Elevations from the other half of the points are taken where they differ by less than so many times of
+#: what is left, with so many points at least.
+_SMOOTH, _FEWEST_HALVES = 4.0, 20
+#: Times that the cloud is cut out anew around points that have moved off it.
+_CUTS = 4
 #: A combination of the seven counts where at least this share of its slopes is relief and not noise.
 _RELIEF_SHARE = 0.5
 #: What a dome may amount to before any point is looked at; looked for with so many points at least.
@@ -102,11 +108,17 @@ def register(
     for radius in radii[:-1]:
         sampler = coarse.thinned(radius)
         values = _fit(values, reference, on, sampler, shift, _COARSE_ROUNDS).values
-    fine = near_places(cloud, _moved_xy(values, reference) - shift[:2], 3 * finest + 0.5)
-    if fine is None:
-        raise InputError("No reference point lies over the cloud.")
-    radius = radius_m or fine.natural_radius_m
-    found = _fit(values, reference, on, fine.thinned(radius), shift, _ROUNDS)
+    reach = 3 * finest + 0.5
+    for _ in range(_CUTS):
+        places = _moved_xy(values, reference)
+        fine = near_places(cloud, places - shift[:2], reach)
+        if fine is None:
+            raise InputError("No reference point lies over the cloud.")
+        radius = radius_m or fine.natural_radius_m
+        found = _fit(values, reference, on, fine.thinned(radius), shift, _ROUNDS)
+        values = found.values
+        if np.linalg.norm(_moved_xy(values, reference) - places, axis=1).max() < reach - radius:
+            break
     return _finished(found, reference, on, origin, radius)
 
 
@@ -172,6 +184,8 @@ def _fit(
 ) -> _Fit:
     """Gauss-Newton with outliers left out; slopes' own noise does not count as information."""
     bend = _bend(reference, on)
+    enough = len(reference) >= _FEWEST_HALVES
+    others = elevation_from_others(reference) if enough else np.full(len(reference), np.inf)
     state = np.concatenate([values, np.zeros(3)])
     sigmas = np.concatenate([PRIOR_SIGMAS, np.full(3, _BEND_SIGMA_M)])
     start = np.concatenate([NO_ERROR, np.zeros(3)])
@@ -186,8 +200,17 @@ def _fit(
         straight = residual - bend @ state[7:]
         middle = float(np.median(straight[there]))
         used = there & (np.abs(straight - middle) <= OUTLIER_SIGMAS * _spread(straight[there]))
-        variance = max(float(np.mean((straight[used] - middle) ** 2)), 1e-12)
+        rest = straight[used] - middle
+        # Neighbours that share an error would else outvote what is known beforehand: on flat ground the
+        # points shrink into the middle, where they fit best.
+        variance = max(float(np.mean(rest**2)) * correlation(reference[used], rest, len(sigmas)), 1e-12)
         design = np.column_stack([derivatives[used], -bend[used]])
+        own = reference[used, 2] - others[used]
+        if float(np.mean(own**2)) < _SMOOTH**2 * float(np.mean(rest**2)):
+            # The heights' own noise is in what is left and in the derivative by the scale: on flat ground
+            # the site would shrink, for that makes the noise smaller.
+            by_height = np.column_stack([heights.slope[used], -np.ones(len(own))])
+            design[:, 6] -= own * (by_height @ similarity_of(values).rotation[:, 2]) / 100
         # A surface's slopes are noisy; their squares would pass for relief that is not there.
         by_slope = seven_derivatives(values, reference[used])[:, :2]
         noise = np.zeros((10, 10))
@@ -204,7 +227,7 @@ def _fit(
         movement = np.abs(design @ step).max()
         if round_ and movement < 0.002 * np.sqrt(variance):
             break
-        state = state + step
+        state = np.clip(state + step, start - _FURTHEST * sigmas, start + _FURTHEST * sigmas)
     return _Fit(values, used, residual, straight, derivatives, information, variance, sigmas)
 
 

@@ -14,8 +14,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calib.align.dome import site_radius_m
-from calib.assess.model import ElevationTrend, Surface, elevation_trend, profile
-from calib.assess.register import BoolArray, Registration, correlation, register
+from calib.assess.elevation import robust_trend
+from calib.assess.model import ElevationTrend, Surface, profile
+from calib.assess.register import PRIOR_SIGMAS, BoolArray, Registration, correlation, register
 from calib.assess.truth import DATUM_M, Truth
 from calib.camera import FloatArray
 from calib.clouds import LoadedCloud
@@ -29,7 +30,6 @@ PROFILE_BINS = 60
 #: Second-order terms need so many points.
 _FEWEST_DOME = 12
 SECOND_ORDER = ("x2", "xy", "y2")
-_TREND_RELIEF = 3.0
 
 
 @dataclass(frozen=True)
@@ -118,6 +118,11 @@ class CloudAssessment:
         return float(np.nanstd(residual))
 
     @property
+    def relief_m(self) -> float:
+        """Between the reference points' heights, the lowest and highest twentieth left aside."""
+        return float(np.ptp(np.percentile(self.truth.xyz_m[:, 2], [5, 95])))
+
+    @property
     def at_edge_m(self) -> FloatArray:
         """What each of the seven amounts to at the edge of the site, metres (7,)."""
         values = self.registration.seven.values
@@ -164,14 +169,13 @@ def assess_cloud(
     radius = site_radius_m(reference)
     lines = tuple(lines) or _default_lines(points[there])
     profiles = tuple(_profile(some, line, width_m, registration.origin) for line in lines)
-    residual, elevation = registration.residual_m[there], reference[there, 2]
+    residual = registration.residual_m[there]
     bowl = trend = None
     if int(there.sum()) >= _FEWEST_DOME:
         bowl = _bowl(reference[there], residual, registration, registration.derivatives[there], radius)
-        if np.ptp(elevation) > _TREND_RELIEF * max(float(np.std(residual)), 1e-6):
-            plain = elevation_trend(elevation, residual)
-            factor = correlation(reference[there], residual - residual.mean(), 2)
-            trend = ElevationTrend(plain.slope, plain.sigma * float(np.sqrt(factor)), plain.correlation)
+        # Points picked in the cloud have settled the seven; a surface leaves them as free as they were.
+        free = registration.seven.covariance if picked_m is not None else np.diag(PRIOR_SIGMAS**2)
+        trend = robust_trend(reference[there], residual, registration.derivatives[there], free)
     step = max(1, len(some) // SHOWN_POINTS)
     shown = np.column_stack([some[::step, 2] + registration.origin[2], some[::step, 3]])
     return CloudAssessment(

@@ -70,10 +70,14 @@ def shape_text(made: CloudAssessment) -> str:
 
 
 def elevation_text(made: CloudAssessment) -> str | None:
-    """The vertical scale in one sentence; None where the ground is too flat to tell."""
+    """The vertical scale in one sentence; None where too few points lie on the cloud."""
     trend = made.trend
     if trend is None:
         return None
+    if not trend.told:
+        relief = quantity(made.relief_m, None, "m", 2)
+        known = f": to {quantity(100 * trend.sigma, None, '%', 2)} only" if trend.sigma < 1 else ""
+        return f"No scale of heights can be told on ground as flat as this ({relief}){known}."
     size = quantity(100 * trend.slope, 100 * trend.sigma, "%")
     if abs(trend.slope) > _SIGMAS * trend.sigma:
         return f"Heights have another scale than the plan: {size} of the height difference."

@@ -140,7 +140,7 @@ def elevation_figure(made: CloudAssessment) -> go.Figure:
         marker={"size": 6, "color": FLIGHT, "symbol": "diamond", "line": {"color": "white", "width": 0.5}},
         name="at the reference points",
     )
-    if made.trend is not None:
+    if made.trend is not None and made.trend.told:
         ends = np.array([elevation.min(), elevation.max()])
         fitted = residual.mean() + made.trend.slope * (ends - elevation.mean())
         figure.add_scatter(

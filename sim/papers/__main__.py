@@ -29,7 +29,7 @@ class Plan:
     flights: tables.Plan = field(default_factory=tables.Plan)
     lens_points: int = 400
     k4_repeats: int = 20
-    assessed_seeds: int = 1
+    assessed_seeds: int = 5
 
 
 FULL = Plan()

@@ -7,6 +7,7 @@ matching does, and held against surveyed points by the very code of the command.
 from __future__ import annotations
 
 import tempfile
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -116,6 +117,7 @@ def _answers(cloud: Path, truth: Path) -> dict[str, Any]:
         "at_points": made.at_points_m,
         "dome": [bowl.amplitude_m, bowl.sigma_m, bowl.chance],
         "trend": None if trend is None else [trend.slope, trend.sigma],
+        "trend_told": trend is not None and trend.told,
     }
 
 
@@ -132,8 +134,9 @@ def section(place: Place, seeds: int) -> Section:
         f"({MATCH_PX:g} px, {100 * MATCH_SHARE:.0f} % of all views), "
         f"written as LAS, and held by `fieldcal assess` against {RTK_POINTS} surveyed points "
         f"({100 * RTK_SIGMA_M:.0f} cm) in a CSV. Nothing is picked in the cloud: the seven come from the "
-        "surface alone, and what that cannot fix the command calls not determined (-). Medians over the "
-        "seeds; sigmas are the command's."
+        "surface alone, and what that cannot fix the command calls not determined. Mean ± standard deviation "
+        "over the seeds in which it is determined; in brackets the command's own sigma (median), and in how "
+        "many, where not in all; - where in none."
     )
     rows = []
     for flight in FLIGHTS:
@@ -141,39 +144,64 @@ def section(place: Place, seeds: int) -> Section:
         cells = [flight]
         for i in range(7):
             digits = 1 if i in (0, 1, 2, 6) else 2
-            told = all(r["determined"][i] for r in mine)
-            value = float(np.median([r["seven"][i] for r in mine]))
-            sigma = float(np.median([r["sigmas"][i] for r in mine]))
-            cells.append(f"{theirs.seven[i]:.{digits}f}")
-            cells.append(f"{value:.{digits}f} ± {sigma:.{digits + 1}f}" if told else "-")
-        cells += [f"{theirs.eta_p_m:.2f}", f"{np.median([r['eta_p'] for r in mine]):.3f}"]
-        cells.append(f"{np.median([r['at_points'] for r in mine]):.3f}")
+            cells += [f"{theirs.seven[i]:.{digits}f}", _determined(mine, i, digits)]
+        cells += [f"{theirs.eta_p_m:.2f}", _spread([r["eta_p"] for r in mine], 3)]
+        cells.append(_spread([r["at_points"] for r in mine], 3))
         rows.append(tuple(cells))
     heads = [text for name in SEVEN_NAMES for text in (name, "assess")]
     page.table(("flight", *heads, "eta_p m", "assess", "at the points"), rows)
-    page.say("Dome (middle over rim, above zero) or dish, and the residual against elevation:")
+    page.say(
+        "Dome (middle over rim, above zero) or dish, and the residual against elevation: median size over "
+        "the seeds and, in brackets, smallest to largest; ± the command's own sigma (median); last, in how "
+        "many seeds it is told. Slopes are of those seeds."
+    )
     rows = []
     for flight in FLIGHTS:
         mine = by_flight[flight]
-        cells = [flight, f"{np.median([abs(r['df_percent']) for r in mine]):.2f}"]
+        cells = [flight, _range([abs(r["df_percent"]) for r in mine], 2)]
         for model, _ in MODELS:
-            bowls = np.array([r[model]["dome"] for r in mine])
+            bowls = 100 * np.array([r[model]["dome"][:2] for r in mine])
             clear = int(np.sum(np.abs(bowls[:, 0]) > 1.96 * bowls[:, 1]))
-            cells.append(
-                f"{100 * np.median(np.abs(bowls[:, 0])):.1f} ± {100 * np.median(bowls[:, 1]):.1f}, {clear}"
-            )
-            cells.append(f"{np.median([r[model]['eta_p'] for r in mine]):.3f}")
-        trends = [r["plain"]["trend"] for r in mine if r["plain"]["trend"] is not None]
-        if trends:
-            slope, sigma = np.median(np.abs(np.array(trends)), axis=0)
-            cells.append(f"{100 * slope:.2f} ± {100 * sigma:.2f}")
-        else:
-            cells.append("-")
+            size = _range(np.abs(bowls[:, 0]), 1)
+            cells += [f"{size} ± {np.median(bowls[:, 1]):.1f}, {clear}", _spread_of(mine, model)]
+        told = 100 * np.array([r["plain"]["trend"] for r in mine if r["plain"]["trend_told"]])
+        cells.append(
+            f"{_range(np.abs(told[:, 0]), 2)} ± {np.median(told[:, 1]):.2f}, {len(told)}"
+            if len(told)
+            else "0"
+        )
         rows.append(tuple(cells))
-    columns = [text for _, label in MODELS for text in (f"{label}: dome cm, told in of {seeds}", "eta_p m")]
+    columns = [text for _, label in MODELS for text in (f"{label}: dome cm", "eta_p m")]
     page.table(("flight", "focal error %", *columns, "against elevation %"), rows)
     _said(page, by_flight)
     return page
+
+
+def _determined(results: list[dict[str, Any]], index: int, digits: int) -> str:
+    """One of the seven over those seeds in which the command determines it."""
+    mine = [r for r in results if r["determined"][index]]
+    if not mine:
+        return "-"
+    values = [r["seven"][index] for r in mine]
+    sigma = f"{np.median([r['sigmas'][index] for r in mine]):.{digits + 1}f}"
+    some = "" if len(mine) == len(results) else f"; {len(mine)} of {len(results)}"
+    spread = f" ± {np.std(values, ddof=1):.{digits}f}" if len(mine) > 1 else ""
+    return f"{np.mean(values):.{digits}f}{spread} ({sigma}{some})"
+
+
+def _spread(values: Sequence[float], digits: int) -> str:
+    if len(values) < 2:
+        return f"{values[0]:.{digits}f}"
+    return f"{np.mean(values):.{digits}f} ± {np.std(values, ddof=1):.{digits}f}"
+
+
+def _spread_of(results: list[dict[str, Any]], model: str) -> str:
+    return _spread([r[model]["eta_p"] for r in results], 3)
+
+
+def _range(sizes: Sequence[float] | FloatArray, digits: int) -> str:
+    middle = f"{np.median(sizes):.{digits}f}"
+    return middle if len(sizes) < 2 else f"{middle} ({np.min(sizes):.{digits}f}-{np.max(sizes):.{digits}f})"
 
 
 def _said(page: Section, by_flight: dict[str, list[dict[str, Any]]]) -> None:
@@ -183,14 +211,36 @@ def _said(page: Section, by_flight: dict[str, list[dict[str, Any]]]) -> None:
         100 * float(np.median([abs(r["plain"]["dome"][0]) for r in group])) for group in (nadir, convergent)
     ]
     after = 100 * float(np.median([abs(r["line"]["dome"][0]) for r in nadir]))
+    larger = sum(abs(r["line"]["dome"][0]) > abs(r["plain"]["dome"][0]) for r in nadir)
     rise = np.median([r["line"]["eta_p"] / r["plain"]["eta_p"] for r in nadir])
+    focal = [r for f in ("A1", "A2") for r in by_flight[f] if r["plain"]["trend_told"]]
+    flat = [r for f in ("B1", "B2", "B3", "B4") for r in by_flight[f]]
+    told = sum(r["plain"]["trend_told"] for r in flat)
+    scaled = sum(r["plain"]["determined"][6] for r in flat)
     page.say(
-        f"**The pattern:** domes of {size[0]:.1f} cm on nadir flights and {size[1]:.1f} cm with convergent "
-        f"photos; moved onto the line, nadir flights have {after:.1f} cm and {rise:.2f} times the eta_p. "
-        "Sections 4 and 5 knew which points belong together; the command finds the pattern from a cloud and "
-        "a list of points alone. On site B, flat as it is, heights fix neither scale nor shift in plan, and "
-        "the command says so. Its slopes against elevation there are no focal errors, either: some "
-        "decimetres of relief are too little to tell one, which the command's sigmas do not show. eta_p also "
-        "holds the relief between the surveyed points, which the residual "
-        "at the points does not.",
+        f"**The pattern:** domes of {size[0]:.1f} cm (median) on nadir flights and {size[1]:.1f} cm with "
+        f"convergent photos; moved onto the line, nadir flights have {after:.1f} cm and {rise:.2f} times the "
+        f"eta_p, and the dome is larger than before in {larger} of {len(nadir)}. Sections 4 and 5 knew which "
+        "points belong together; the command finds the pattern from a cloud and a list of points alone. "
+        + _against_focal(focal)
+        + f"On site B, flat as it is, heights determine the scale in {scaled} of {len(flat)} flights and a "
+        f"slope against elevation in {told}; in the others the command says that they do not: some "
+        "decimetres of relief are too little. eta_p also holds the relief between the surveyed points, which the "
+        "residual at the points does not."
+    )
+
+
+def _against_focal(results: list[dict[str, Any]]) -> str:
+    """How slopes that are told go with the error of f, in one sentence; nothing where they are few."""
+    if len(results) < 4:
+        return ""
+    error = np.array([r["df_percent"] for r in results])
+    slope = 100 * np.array([r["plain"]["trend"][0] for r in results])
+    design = np.column_stack([np.ones_like(error), error])
+    found = np.linalg.lstsq(design, slope, rcond=None)[0]
+    rest = slope - design @ found
+    sigma = float(np.sqrt(rest @ rest / (len(error) - 2) * np.linalg.inv(design.T @ design)[1, 1]))
+    return (
+        f"The slopes of A1 and A2 against elevation go with the focal error, {found[1]:.2f} ± {sigma:.2f} "
+        f"of it ({len(error)} flights). "
     )
