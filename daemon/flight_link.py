@@ -190,6 +190,12 @@ class FlightLink(Closing):
         self._heard_s = self._clock()
         base = self.source.state.time_base
         self._recent.add(event)
+        for jump in self._recent.news():
+            size_m = max(jump.horizontal_m, jump.vertical_m)
+            text = (
+                f"The vehicle's position jumped by {size_m:.0f} m, and photos are placed no better for now."
+            )
+            self._news.append(("warning", text))
         if isinstance(event, ev.PhotoReport):
             if self.book.hear(event, at_s, base):
                 self.moved_s = self._clock()

@@ -19,8 +19,9 @@ from daemon.link.wire import GROUND_STATION, SYSTEM_ID, Frame
 E = TypeVar("E", bound=ev.Event)
 #: Without a heartbeat for this long the vehicle counts as gone.
 SILENT_S = 3.5
-#: A boot time that falls back by more than this is another boot, once so many messages in a row, over so
-#: long, say so and go on from there. Messages that were held up somewhere come in no order, or among newer.
+#: A boot time that falls back by more than this, or is shorter than the silence before it, is another boot,
+#: once so many messages in a row, over so long, say so and go on from there. Messages that were held up
+#: somewhere come in no order, or among newer.
 RESTART_S, RESTART_MESSAGES, RESTART_STAYS_S = 5.0, 8, 0.5
 #: By so much messages of one clock may come out of order.
 _SHUFFLED_S = 1.0
@@ -65,6 +66,7 @@ class LinkState:
     boots: int = 1
     counts: Mapping[str, int] = field(default_factory=dict)
     _boot_s: float | None = None
+    _boot_heard_s: float = 0.0
     _behind: _Behind | None = None
     _asked_ns: tuple[int, ...] = ()
 
@@ -140,15 +142,21 @@ class LinkState:
 
     def _at_boot(self, boot_s: float, at_s: float) -> LinkState:
         """The vehicle's clock was read; one boot more where it started anew."""
-        if self._boot_s is None or boot_s >= self._boot_s - RESTART_S:
-            return replace(self, _boot_s=max(boot_s, self._boot_s or 0.0), _behind=None)
+        if self._boot_s is None:
+            return replace(self, _boot_s=boot_s, _boot_heard_s=at_s)
+        silent_s = at_s - self._boot_heard_s
+        if boot_s >= self._boot_s - RESTART_S and boot_s >= silent_s - _SHUFFLED_S:
+            if boot_s < self._boot_s:
+                return replace(self, _behind=None)
+            return replace(self, _boot_s=boot_s, _boot_heard_s=at_s, _behind=None)
         behind = self._behind
         if behind is None or boot_s < behind.boot_s - _SHUFFLED_S:
             return replace(self, _behind=_Behind(at_s, boot_s))
         behind = _Behind(behind.since_s, max(boot_s, behind.boot_s), behind.count + 1)
         if behind.count < RESTART_MESSAGES or at_s - behind.since_s < RESTART_STAYS_S:
             return replace(self, _behind=behind)
-        return replace(self, boots=self.boots + 1, time_base=TimeBase(), _boot_s=behind.boot_s, _behind=None)
+        fresh = replace(self, boots=self.boots + 1, time_base=TimeBase(), _behind=None)
+        return replace(fresh, _boot_s=behind.boot_s, _boot_heard_s=at_s)
 
     def _timesync(self, event: ev.TimeSync, frame: Frame, at_s: float) -> LinkState:
         """Answers to another station's questions are heard as well: only ours count."""

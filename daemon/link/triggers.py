@@ -22,6 +22,8 @@ SAME_CLOCK_S = 0.45
 ARRIVAL_S = 1.0
 #: Where the numbers say something else, times must agree this well to be believed.
 SURE_S = 0.1
+#: The same number with a time so near is the same message.
+SAME_REPORT_S = 1e-3
 #: A number told again with a time this much later is another photo: the vehicle started anew.
 RESTART_S = 2.0
 #: A report is compared with so many photos back.
@@ -63,6 +65,7 @@ class TriggerFilter:
     _times: dict[_Key, tuple[float | None, float | None]] = field(default_factory=dict)
     _highest: dict[_Stream, tuple[int, float]] = field(default_factory=dict)
     _steps: dict[tuple[PhotoSource, PhotoSource], tuple[int, int]] = field(default_factory=dict)
+    _lost: tuple[int, ...] = ()
     _epoch: int = 0
     _epoch_start: int = 0
 
@@ -74,8 +77,9 @@ class TriggerFilter:
         if self._restarted(report):
             self.restarted()
         key = self._key(report)
-        known = self._by_key.get(key)
+        known = self._by_key.get(key, self._told_before(key, report))
         if known is not None:
+            self._by_key[key] = known
             return self._merge(known, report)
         self._times[key] = (report.vehicle_boot_s, report.utc_s)
         if report.utc_s is not None:
@@ -92,18 +96,33 @@ class TriggerFilter:
         self.photos.append(Trigger(number, 0, heard_s, own, report.camera, **shared))
         return self.photos[-1]
 
+    def _told_before(self, key: _Key, report: PhotoReport) -> int | None:
+        """The same photo, told before it was known that the vehicle had started anew."""
+        earlier = (key[0] - 1, *key[1:])
+        before = self._times.get(earlier)
+        apart = None if before is None else _apart_s(before, (report.vehicle_boot_s, report.utc_s))
+        if apart is None or abs(apart) > SAME_REPORT_S:
+            return None
+        self._times[key] = (report.vehicle_boot_s, report.utc_s)
+        return self._by_key.get(earlier)
+
     def restarted(self) -> None:
         """The vehicle started anew (its boot time went back): numbers seen from here on are new photos."""
+        self._lost += self._lost_now()
         self._epoch += 1
         self._epoch_start = len(self.photos)
         self._steps.clear()
         self._highest.clear()
 
     def lost(self) -> tuple[int, ...]:
-        """Numbers since the vehicle's start that no message told of, between the first and the last told.
+        """Numbers that no message told of, between the first and the last told since each of the vehicle's
+        starts (so a number may be there twice).
 
         In the numbering of the first source that is there of feedback, trigger, captured. One camera.
         """
+        return (*self._lost, *self._lost_now())
+
+    def _lost_now(self) -> tuple[int, ...]:
         current = self.photos[self._epoch_start :]
         for source in PhotoSource:
             if not any(photo.index(source) is not None for photo in current):

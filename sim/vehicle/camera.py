@@ -8,12 +8,14 @@ from dataclasses import dataclass, field
 
 from sim.vehicle.motion import Body, Place
 from sim.vehicle.options import VehicleOptions
+from sim.vehicle.receiver import Receiver
 
 
 @dataclass(frozen=True)
 class PhotoTaken:
     """Truth about one photo. ``index``: from 1 on ArduPilot, from 0 on PX4. East, north, up of home.
-    ``boot_s``: since the vehicle was switched on last. ``believed_m``: where the vehicle says that it was."""
+    ``boot_s``: since the vehicle was switched on last. ``believed_m``: where the vehicle says that it was;
+    ``jumped``: while its receiver's place was away."""
 
     index: int
     boot_s: float
@@ -24,6 +26,7 @@ class PhotoTaken:
     pitch_deg: float
     vehicle_pitch_deg: float
     vehicle_roll_deg: float
+    jumped: bool = False
 
 
 @dataclass
@@ -41,7 +44,7 @@ class Camera:
     _last_s: float = -math.inf
     _last_m: Place | None = None
 
-    def trigger(self, body: Body, now_s: float, utc_s: float, told_error_m: Place) -> PhotoTaken | None:
+    def trigger(self, body: Body, now_s: float, utc_s: float, receiver: Receiver) -> PhotoTaken | None:
         """A photo, unless the last one is too recent or the shutter fails."""
         if now_s - self._last_s < self.options.camera_interval_s - 1e-9:
             return None
@@ -50,10 +53,11 @@ class Camera:
         if self.rng.random() < self.miss_share:
             return None
         first = 1 if self.options.flavour == "ardupilot" else 0
-        east, north, up = (true + error for true, error in zip(body.at_m, told_error_m, strict=True))
+        east, north, up = (true + error for true, error in zip(body.at_m, receiver.error_m, strict=True))
         photo = PhotoTaken(
             *(self.counted + first, now_s, utc_s, body.at_m, (east, north, up)),
             *(body.yaw_deg, body.gimbal_pitch_deg, -body.lean_deg, body.roll_deg),
+            receiver.jumped,
         )
         self.counted += 1
         self.photos.append(photo)

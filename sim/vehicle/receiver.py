@@ -66,6 +66,11 @@ class Receiver:
         self._drift_m = self._normal(self.gnss.drift_m)
         self.bias_m = self.error_m = self._drift_m
 
+    @property
+    def jumped(self) -> bool:
+        """Whether its place is away now."""
+        return any(self._jump_m)
+
     def step(self, dt_s: float) -> None:
         gnss = self.gnss
         self._now_s += dt_s

@@ -150,7 +150,7 @@ class Vehicle:
 
     def _shoot(self) -> None:
         utc_s = self.options.boot_utc_s + self.boot_s
-        self._tell(self.camera.trigger(self.body, self.boot_s, utc_s, self.receiver.error_m))
+        self._tell(self.camera.trigger(self.body, self.boot_s, utc_s, self.receiver))
 
     def _tell(self, photo: PhotoTaken | None) -> None:
         if photo is None:
