@@ -202,7 +202,7 @@ def test_the_search_for_a_pass_gives_signs_of_life(tmp_path: Path, monkeypatch: 
     result = SimpleNamespace(verdict=Verdict.REFLY)
     with Manager(str(tmp_path / "n")) as end, Notifier(environment) as notifier:
 
-        def long(*_: object) -> Pass:
+        def long(*_: object, **__: object) -> Pass:
             for _ in range(3):
                 end.until("WATCHDOG=1", 30)
             return Pass("found", 3)
@@ -210,7 +210,8 @@ def test_the_search_for_a_pass_gives_signs_of_life(tmp_path: Path, monkeypatch: 
         monkeypatch.setattr(run_rounds, "find_pass", long)
         monkeypatch.setattr(run_rounds, "offer", long)
         wishes = run_rounds.Wishes(offer_refly=True, yes=True)
-        parts: list[Any] = [None, None, None, screen, wishes, "one", notifier.tell, notifier.busy]
+        flight = SimpleNamespace(idle=lambda: None, at_work=lambda _: None)
+        parts: list[Any] = [flight, None, None, screen, wishes, "one", notifier.tell, notifier.busy]
         assert run_rounds.Rounds(*parts)._extra_pass(result) == Pass("found", 3)  # type: ignore[arg-type]
         parts[2] = SimpleNamespace(launch=None, flavour="px4")
         assert run_rounds.Rounds(*parts)._uploaded(Pass("found", 3))

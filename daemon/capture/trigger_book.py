@@ -103,7 +103,7 @@ class TriggerBook:
 
     def restarted(self, heard_s: float) -> None:
         """The vehicle began anew: its numbers and boot times are others now. Raises as :meth:`hear`."""
-        self._filter.restarted()
+        self._filter.restarted(heard_s)
         self._started = self.count
         self._session.add_event(Event(RESTARTED, Stamp(heard_s, ClockName.UTC), {"photos": self.count}))
 
@@ -168,7 +168,7 @@ class TriggerBook:
         for event in self._session.events():
             kind, data = event.value.kind, event.value.data
             if kind == RESTARTED:
-                self._filter.restarted()
+                self._filter.restarted(event.value.at.time_s)
                 self._started = self.count
             elif kind == HEARD:
                 heard_s = event.value.at.time_s

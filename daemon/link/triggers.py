@@ -11,6 +11,7 @@ until the next one is taken.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields, replace
 
 from daemon.link.events import PhotoFacts, PhotoReport, PhotoSource
@@ -22,6 +23,8 @@ SAME_CLOCK_S = 0.45
 ARRIVAL_S = 1.0
 #: Where the numbers say something else, times must agree this well to be believed.
 SURE_S = 0.1
+#: Numbers tell of a new start first, the clock within so long.
+NOTICED_S = 30.0
 #: The same number with a time so near is the same message.
 SAME_REPORT_S = 1e-3
 #: A number told again with a time this much later is another photo: the vehicle started anew.
@@ -66,6 +69,7 @@ class TriggerFilter:
     _highest: dict[_Stream, tuple[int, float]] = field(default_factory=dict)
     _steps: dict[tuple[PhotoSource, PhotoSource], tuple[int, int]] = field(default_factory=dict)
     _lost: tuple[int, ...] = ()
+    _noticed_s: float = -math.inf
     _epoch: int = 0
     _epoch_start: int = 0
 
@@ -75,7 +79,8 @@ class TriggerFilter:
         ``heard_s``: arrival on any clock that never steps, in vehicle time or faster.
         """
         if self._restarted(report):
-            self.restarted()
+            self._begin_anew()
+            self._noticed_s = heard_s
         key = self._key(report)
         known = self._by_key.get(key, self._told_before(key, report))
         if known is not None:
@@ -106,8 +111,15 @@ class TriggerFilter:
         self._times[key] = (report.vehicle_boot_s, report.utc_s)
         return self._by_key.get(earlier)
 
-    def restarted(self) -> None:
-        """The vehicle started anew (its boot time went back): numbers seen from here on are new photos."""
+    def restarted(self, heard_s: float = math.inf) -> None:
+        """The vehicle started anew (its boot time went back): numbers seen from here on are new photos.
+
+        Where numbers told it shortly before, they are so already.
+        """
+        if heard_s - self._noticed_s > NOTICED_S:
+            self._begin_anew()
+
+    def _begin_anew(self) -> None:
         self._lost += self._lost_now()
         self._epoch += 1
         self._epoch_start = len(self.photos)
