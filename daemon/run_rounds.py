@@ -25,17 +25,17 @@ from daemon.cli_upload import backup_folder
 from daemon.flight import Flight
 from daemon.live.schemas import Log, Message
 from daemon.output import console, write_stdout
-from daemon.refly_offer import PATIENCE_S, Pass, find_pass, offer
 from daemon.run_screen import Screen
 from daemon.session.library import finish, reopen
 from daemon.session.reader import SessionReader
 from daemon.session.store import Session
 from daemon.terminal import print_summary
-from mission.refly import Refly, refly
-from mission.refly_site import FlownSite
 
 if TYPE_CHECKING:
     from daemon.flight_link import FlightLink
+    from daemon.refly_offer import Pass
+    from mission.refly import Refly
+    from mission.refly_site import FlownSite
 
 T = TypeVar("T")
 #: Extra passes are offered so often: what two have not cured a third will not.
@@ -144,6 +144,9 @@ class Rounds:
         """Found, told and in the flight's folder; None where nothing is to be flown."""
         if result.verdict is not Verdict.REFLY:
             return None
+        # Loaded when it is wanted: a daemon that was killed is to be back soon.
+        from daemon.refly_offer import find_pass
+
         told = self._told
         launch, flavour = (None, "ardupilot") if told is None else (told.launch, told.flavour)
         with self._screen.busy("planning the extra pass"), self._alive(SEARCH_S):
@@ -153,6 +156,8 @@ class Rounds:
         return found if found.photos else None
 
     def _search(self, site: FlownSite) -> Refly:
+        from mission.refly import refly
+
         return in_process(refly, (site,), self._flight.idle, SEARCH_S)
 
     def _aside(self, work: Callable[[], T]) -> T:
@@ -162,6 +167,8 @@ class Rounds:
         told = self._told
         if told is None or not self._wishes.offer_refly:
             return False
+        from daemon.refly_offer import PATIENCE_S, offer
+
         with self._alive(PATIENCE_S + UPLOAD_S):
             return offer(
                 *(told, self._session, found, self._word, backup_folder(), self._say, self._screen.busy),
