@@ -49,6 +49,8 @@ SIGMAS = 4.0
 LONGEST_S = 900.0
 #: A trigger whose time is so near that of a photo is that photo's.
 SAME_S = 0.5
+#: Times that differ by less are alike.
+ALIKE_S = 0.05
 
 
 @dataclass(frozen=True)
@@ -79,7 +81,8 @@ class Flown:
     and the last told. ``sure``, ``wrong_pairs``: sure pairs, and those that do not belong together.
     ``placed``, ``wrong_places``: photos with a position, and those further off than stated. ``across``,
     ``up``: true errors of the positions in their stated sigmas. ``away``: of which those told by a place
-    that had jumped. ``boots``: how often the vehicle was switched on; ``errs``: its receiver has errors."""
+    that had jumped. ``boots``: how often the vehicle was switched on; ``errs``: its receiver has errors.
+    ``words``: the triggers of photos that are there twice."""
 
     seed: int
     flavour: str
@@ -101,6 +104,7 @@ class Flown:
     across: tuple[float, ...]
     up: tuple[float, ...]
     away: tuple[bool, ...]
+    words: tuple[str, ...] = ()
 
     @property
     def right(self) -> bool:
@@ -329,22 +333,28 @@ def _judged(
         tuple(across),
         tuple(up),
         tuple(away),
+        tuple(
+            f"{whose[seq]}: {row.image_index} at {row.at.time_s:.3f} {row.at.clock}"
+            for seq, row in triggers.items()
+            if known.count(whose[seq] or 0) > 1 and whose[seq] is not None
+        ),
     )
 
 
 def _whose(triggers: Mapping[int, Trigger], truth: Sequence[PhotoTaken]) -> dict[int, int | None]:
-    """Seq of a trigger -> which photo was taken then, counted from 0.
+    """Seq of a trigger -> which photo was taken then, counted from 0: the nearest in time.
 
-    Photos are further apart than twice the tolerance, but two starts of the vehicle can have one time since
-    boot: then the number that the vehicle gave decides, or which comes next.
+    Two starts of the vehicle can have one time since boot: then the number that the vehicle gave decides, or
+    which comes next.
     """
     found: dict[int, int | None] = {}
     last = 0
     for seq, trigger in triggers.items():
-        fits = [n for n, photo in enumerate(truth) if _away_s(trigger.at, photo) <= SAME_S]
+        away_s = [_away_s(trigger.at, photo) for photo in truth]
+        nearest_s = min(away_s, default=math.inf)
+        fits = [n for n, one in enumerate(away_s) if one <= min(nearest_s + ALIKE_S, SAME_S)]
         numbered = [n for n in fits if truth[n].index == trigger.image_index]
-        chosen = numbered or fits
-        found[seq] = min(chosen, key=lambda n: (n < last, _away_s(trigger.at, truth[n])), default=None)
+        found[seq] = min(numbered or fits, key=lambda n: (n < last, away_s[n]), default=None)
         last = max(last, found[seq] or 0)
     return found
 
@@ -361,10 +371,10 @@ def report(flown: list[Flown]) -> str:
     lines = [
         "# Photo flights with faults",
         "",
-        f"{len(flown)} flights of 15-45 photos over real sockets, ArduPilot and PX4, at {SPEED_UP:g} times "
-        "real time; by seed, all in the time of the flight: loss to 10 %, doubling to 30 %, delay to 0.5 s and "
-        "reordering, up to two cuts of 1-40 s, shutters that fail (to 15 %), files that never come, test "
-        "shots, a camera clock off by up to an hour and drifting by up to 200 ppm, a third with whole "
+        f"{len(flown)} flights of 15-45 photos over real sockets, ArduPilot and PX4, at {SPEED_UP:g} "
+        "times real time; by seed, all in the time of the flight: loss to 10 %, doubling to 30 %, delay to "
+        "0.5 s and reordering, up to two cuts of 1-40 s, shutters that fail (to 15 %), files that never come, "
+        "test shots, a camera clock off by up to an hour and drifting by up to 200 ppm, a third with whole "
         "seconds; wind to 8 m/s with gusts to 3 m/s; a receiver with noise to 0.3 m and a drift of 0.6-1.8 m "
         f"on each axis (1.6 times that in height), a quarter of which state dilutions only; {jumps} jumps of "
         f"3-8 m for 4-25 s that nobody announces; {cycles} power cycles in the air. One flight in eight has "

@@ -156,8 +156,8 @@ def report(found: Sequence[Back], pause_s: float) -> str:
         "# A daemon that was killed comes back",
         "",
         f"`fieldcal run --again` with a vehicle's messages, photos and the live status, killed {len(found)} "
-        f"times with `kill -9` and started again {pause_s:g} s later (RestartSec of systemd/fieldcal.service) by "
-        "a supervisor of a few lines, which stands for systemd: systemd itself takes no part. Made by "
+        f"times with `kill -9` and started again {pause_s:g} s later (RestartSec of the service's unit) by a "
+        "supervisor of a few lines, which stands for systemd: systemd itself takes no part. Made by "
         "`python -m benchmarks.restarts`.",
         "",
         "| from the kill, s | median | longest | may be |",

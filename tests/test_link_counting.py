@@ -69,6 +69,18 @@ def test_a_photo_told_again_after_the_restart_was_noticed_is_the_same() -> None:
     assert len(photos.photos) == 6
 
 
+def test_the_second_source_may_tell_after_the_restart_was_noticed() -> None:
+    photos = TriggerFilter()
+    for index in (0, 1):
+        photos.add(ev.PhotoReport(TRIGGER, 1, 0, index, 50.0 + index, None), 50.0 + index)
+    photos.add(ev.PhotoReport(TRIGGER, 1, 0, 5, 12.0, None), 100.0)
+    photos.restarted(100.5)
+    assert photos.add(ev.PhotoReport(CAPTURED, 1, 0, 5, 12.0, UTC_S, confirmed=True), 100.7) is not None
+    # Of the new start, though its clock reads what it read for a photo long ago.
+    assert photos.add(ev.PhotoReport(CAPTURED, 1, 0, 6, 50.0, None, confirmed=True), 138.0) is not None
+    assert len(photos.photos) == 4
+
+
 def test_lost_numbers_are_told() -> None:
     photos = TriggerFilter()
     for index in (2, 3, 6, 8):

@@ -27,6 +27,8 @@ SURE_S = 0.1
 NOTICED_S = 30.0
 #: The same number with a time so near is the same message.
 SAME_REPORT_S = 1e-3
+#: The other source may tell of a photo so long after, while the vehicle's new start is noticed.
+LATE_S = 5.0
 #: A number told again with a time this much later is another photo: the vehicle started anew.
 RESTART_S = 2.0
 #: A report is compared with so many photos back.
@@ -176,16 +178,18 @@ class TriggerFilter:
     def _partner(self, report: PhotoReport, heard_s: float) -> int | None:
         """The photo that another source told of, and this one not yet."""
         best: tuple[float, int] | None = None
-        first = max(self._epoch_start, len(self.photos) - LOOK_BACK)
-        for place in range(first, len(self.photos)):
+        for place in range(max(0, len(self.photos) - LOOK_BACK), len(self.photos)):
             photo = self.photos[place]
-            if photo.index(report.source) is not None:
+            earlier = place < self._epoch_start
+            if photo.index(report.source) is not None or (earlier and heard_s - photo.heard_s > LATE_S):
                 continue
             gap = _apart_s((photo.vehicle_boot_s, photo.utc_s), (report.vehicle_boot_s, report.utc_s))
-            limit = SAME_CLOCK_S
+            limit = SURE_S if earlier else SAME_CLOCK_S
+            if gap is None and earlier:
+                continue
             if gap is None:
                 gap, limit = heard_s - photo.heard_s, ARRIVAL_S
-            in_step = self._in_step(photo, report)
+            in_step = None if earlier else self._in_step(photo, report)
             if in_step is not None and not in_step:
                 limit = SURE_S
             elif in_step:
