@@ -26,6 +26,7 @@ from sim.worlds import KINDS
 if TYPE_CHECKING:
     from daemon.link.live import Link
     from sim.tether.camera import Camera, Count
+    from sim.vehicle import Wind
 
 LARGEST_SEED = 2**31 - 1
 #: The true lens as a reference for `fieldcal check`.
@@ -64,16 +65,46 @@ def vehicle(
     camera_component: Annotated[
         bool, typer.Option("--camera-component", help="A camera that confirms photos.")
     ] = False,
+    wind: Annotated[
+        str | None, typer.Option(metavar="SPEED[,FROM]", help="Wind, m/s, from so many degrees (270).")
+    ] = None,
+    gusts: Annotated[
+        float, typer.Option(min=0, max=15, metavar="M_S", help="Size of the gusts on it, m/s.")
+    ] = 0.0,
+    gps_noise: Annotated[
+        float, typer.Option(min=0, max=50, metavar="M", help="GPS: error of single fixes, m.")
+    ] = 0.0,
+    gps_drift: Annotated[
+        float, typer.Option(min=0, max=50, metavar="M", help="GPS: error that wanders over minutes, m.")
+    ] = 0.0,
+    gps_jumps: Annotated[
+        float | None,
+        typer.Option(min=5, metavar="S", help="GPS: a jump of some metres about every so many seconds."),
+    ] = None,
+    power_cycle: Annotated[
+        list[float] | None,
+        typer.Option(metavar="S", help="The autopilot starts anew after so long in the air (repeatable)."),
+    ] = None,
 ) -> None:
     """A simulated vehicle that can be armed and flown by any ground station, until Ctrl-C."""
     try:
-        from sim.vehicle import Faults, VehicleOptions, VehicleServer
+        from sim.vehicle import Faults, Gnss, VehicleOptions, VehicleServer
     except ModuleNotFoundError as error:
         raise InputError(f"The simulated vehicle {_NOT_INSTALLED}") from error
 
     place = VehicleOptions().home if home is None else _home(home)
-    options = VehicleOptions(autopilot, place, boot_utc_s=time.time(), camera_component=camera_component)
-    faults = Faults(drop, repeat, delay, miss_photo_share=miss_photos)
+    if any(after_s < 0 for after_s in power_cycle or ()):
+        raise InputError("--power-cycle: the vehicle is in the air for 0 seconds or more.")
+    options = VehicleOptions(
+        *(autopilot, place),
+        boot_utc_s=time.time(),
+        camera_component=camera_component,
+        wind=_wind(wind, gusts),
+        gnss=Gnss(gps_noise, gps_drift, gps_jumps),
+    )
+    faults = Faults(
+        *(drop, repeat, delay), miss_photo_share=miss_photos, power_cycles_s=tuple(power_cycle or ())
+    )
     beside = None if camera_at is None else _host_port(camera_at, "--camera")
     server = VehicleServer(
         options, _host_port(to, "--to"), speed_up=speed_up, faults=faults, seed=seed, camera=beside
@@ -92,6 +123,18 @@ def _host_port(text: str, option: str) -> tuple[str, int]:
         return socket.gethostbyname(host), int(port)
     except OSError as error:
         raise InputError(f"{option}: no host is named {host}.") from error
+
+
+def _wind(text: str | None, gusts_m_s: float) -> Wind:
+    from sim.vehicle import Wind
+
+    try:
+        numbers = [float(part) for part in (text or "0").split(",")]
+    except ValueError:
+        numbers = []
+    if len(numbers) not in (1, 2) or not 0 <= numbers[0] <= 20 or not abs(numbers[-1]) <= 360:
+        raise InputError(f"--wind {text!r} is not SPEED or SPEED,FROM: 0 to 20 m/s, from 0 to 360 degrees.")
+    return Wind(numbers[0], numbers[1] if len(numbers) == 2 else Wind().from_deg, gusts_m_s)
 
 
 def _home(text: str) -> LocalFrame:

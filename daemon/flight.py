@@ -20,6 +20,7 @@ from calib.photos import LeftOut, Photo, Sorted, require_block, sort_photos
 from calib.report_json import report_dict
 from calib.result import CheckResult, Timing
 from daemon.advice import what_to_fly
+from daemon.aside import TURN_S
 from daemon.capture.bringer import Bringer
 from daemon.capture.hot_folder import Arrival, HotFolder, Marks, Poll
 from daemon.capture.matching import Arrived, Matching, completed
@@ -111,6 +112,7 @@ class Flight:
         self._seq = session.counts().photos
         self._trying_for = self._trying_seq = 0
         self._told: object = None
+        self._idled_s = -1e9
         self._resume()
 
     # -- what is asked of it -----------------------------------------------------------------------
@@ -154,6 +156,19 @@ class Flight:
         self._take(happening)
         self._tell_state()
 
+    def idle(self) -> None:
+        """Listen and tell, while something else goes on; returns at once.
+
+        Raises:
+            FieldcalError: the record cannot be written.
+        """
+        self._listen()
+        self._tell_state()
+
+    def at_work(self, stage: str) -> None:
+        """Tell what goes on beside this flight's own steps."""
+        self._progress(stage, 0, 0)
+
     def conclude(self) -> CheckResult:
         """The final verdict: the check's own of all photos in the folder now; recorded when it returns.
 
@@ -165,17 +180,18 @@ class Flight:
         self._solver.call_off()
         while self._solver.busy:
             self._take(self._solver.poll(_TRANSIENT_S))
+            self.idle()
         while True:
             self._looked_s = -1e9
             self._look()
             if not self._poll.fault:
                 break
-            self._tell_state()
+            self.idle()
             time.sleep(LOOK_EVERY_S)
         self._listen(at_once=True)
         if self._bringer is not None and self._bringer.missing:
             self._say(f"{self._bringer.missing} photos that the camera offers were not fetched.", "warning")
-        found = read_set(self._files(), self._progress, self._completed)
+        found = read_set(self._files(), self._reading, self._completed)
         require_block(found)
         self._missing(found.used, found.left_out)
         seq = self._session.counts().photos
@@ -191,8 +207,7 @@ class Flight:
                 finished = happening
             else:
                 self._take(happening)
-            self._listen()
-            self._tell_state()
+            self.idle()
         if finished.error is not None:
             raise finished.error
         if finished.outcome is None:
@@ -385,6 +400,13 @@ class Flight:
 
     def _say(self, text: str, level: Literal["info", "warning", "error"] = "info") -> None:
         self._tell(Log(vehicle=self._options.vehicle, at=datetime.now(UTC), level=level, text=text))
+
+    def _reading(self, stage: str, done: int, total: int) -> None:
+        self._progress(stage, done, total)
+        now = self._clock()
+        if now - self._idled_s >= TURN_S:
+            self._idled_s = now
+            self.idle()
 
     def _progress(self, stage: str, done: int, total: int) -> None:
         self._tell(

@@ -10,7 +10,7 @@ import time
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
-from typing import Literal
+from typing import TYPE_CHECKING, Literal
 
 from daemon.capture.fetch import Fetcher
 from daemon.capture.recent import Recent
@@ -28,7 +28,9 @@ from daemon.live import schemas
 from daemon.session.rows import ClockName, Event, Stamp
 from daemon.session.store import Session
 from mission.encode import Flavour
-from mission.feasibility import NAMES, Place
+
+if TYPE_CHECKING:
+    from mission.feasibility import Place
 
 LOG_FILE = "link.tlog"
 AIRBORNE, LANDED = "vehicle.airborne", "vehicle.landed"
@@ -126,6 +128,8 @@ class FlightLink(Closing):
     @property
     def place(self) -> Place | None:
         """Where the vehicle is, as far as it knows."""
+        from mission.feasibility import Place
+
         at = self.source.state.last(ev.Position)
         return None if at is None else Place(at.latitude_deg, at.longitude_deg)
 
@@ -190,6 +194,12 @@ class FlightLink(Closing):
         self._heard_s = self._clock()
         base = self.source.state.time_base
         self._recent.add(event)
+        for jump in self._recent.news():
+            size_m = max(jump.horizontal_m, jump.vertical_m)
+            text = (
+                f"The vehicle's position jumped by {size_m:.0f} m, and photos are placed no better for now."
+            )
+            self._news.append(("warning", text))
         if isinstance(event, ev.PhotoReport):
             if self.book.hear(event, at_s, base):
                 self.moved_s = self._clock()
@@ -250,6 +260,8 @@ class FlightLink(Closing):
         self._degraded = tuple(faults)
 
     def _greeting(self, link: Link) -> str:
+        from mission.feasibility import NAMES
+
         beat = link.state.last(ev.Heartbeat)
         name = next((n for key, n in NAMES.items() if key == link.state.autopilot), "another autopilot")
         mode = "" if beat is None else f", {'armed' if beat.armed else 'disarmed'}, mode {beat.mode}"

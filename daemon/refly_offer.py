@@ -24,7 +24,7 @@ from mission.encode import Flavour
 from mission.limits import hard_violations
 from mission.refly import Refly, refly
 from mission.refly_sheet import write_refly_sheet
-from mission.refly_site import flown_site
+from mission.refly_site import FlownSite, flown_site
 from mission.refly_words import why_no_pass
 from mission.site_file import checked, overlaid, read_site_file
 
@@ -49,8 +49,15 @@ class Pass:
     mission: Path | None = None
 
 
+Search = Callable[[FlownSite], Refly]
+
+
 def find_pass(
-    session: Session, site: Path | None, launch: tuple[float, float] | None, flavour: Flavour
+    session: Session,
+    site: Path | None,
+    launch: tuple[float, float] | None,
+    flavour: Flavour,
+    search: Search = refly,
 ) -> Pass:
     """The pass that cures the block of the newest check, its files in the flight's folder.
 
@@ -58,15 +65,16 @@ def find_pass(
 
     Args:
         site: a site file with limits. launch: where the vehicle starts, degrees; before the site's own.
+        search: :func:`mission.refly.refly`, perhaps in another process.
     """
     try:
-        return _find_pass(session, site, launch, flavour)
+        return _find_pass(session, site, launch, flavour, search)
     except FieldcalError as error:
         return Pass(f"No extra pass was planned: {error}")
 
 
 def _find_pass(
-    session: Session, site: Path | None, launch: tuple[float, float] | None, flavour: Flavour
+    session: Session, site: Path | None, launch: tuple[float, float] | None, flavour: Flavour, search: Search
 ) -> Pass:
     if not (session.folder / NETWORK_FILE).is_file():
         return Pass("The check left no network to plan an extra pass from.")
@@ -76,7 +84,7 @@ def _find_pass(
         return Pass(why or "The photos have no positions: fly the circle of the report by hand.")
     options = checked({} if launch is None else {"launch": list(launch)}, "the vehicle's home position")
     keys = options if site is None else overlaid(read_site_file(site), options)
-    found = refly(flown_site(known, keys, keys.name or FOLDER))
+    found = search(flown_site(known, keys, keys.name or FOLDER))
     if found.plan is None or found.found is None:
         return Pass(found.reason)
     folder = session.folder / FOLDER
@@ -114,12 +122,14 @@ def offer(
     say: Callable[[str], None],
     busy: Callable[[str], AbstractContextManager[Report]],
     patience_s: float = PATIENCE_S,
+    meanwhile: Callable[[], None] | None = None,
 ) -> bool:
     """Upload the pass if the operator says so; whether the vehicle holds it.
 
     Args:
         word: the operator's explicit word, asked when the vehicle may be written to.
         busy: opens a progress line.
+        meanwhile: called now and then while something is waited for (None: the link is listened to).
 
     Raises:
         FieldcalError: the vehicle's old mission cannot be kept, or the record not be written.
@@ -132,6 +142,7 @@ def offer(
     link = told.source
     if not isinstance(link, Link) or found.mission is None:
         return False
+    look = told.poll if meanwhile is None else meanwhile
     reason, end = None, time.monotonic() + patience_s
     while (why := why_not(link.state, link.now_s(), holding=True)) is not None:
         if why != reason:
@@ -140,7 +151,7 @@ def offer(
         if time.monotonic() > end:
             say("The extra pass was not uploaded: the vehicle was waited for long enough.")
             return False
-        told.poll()
+        look()
         time.sleep(0.2)
     try:
         mission = load(found.mission, flavour_of(link.state))
@@ -151,7 +162,12 @@ def offer(
             return False
         for finding in findings:
             say(f"Note: {finding.message}")
-        with late_line(busy) as progress:
+        with late_line(busy) as line:
+
+            def progress(stage: str, done: int, total: int) -> None:
+                line(stage, done, total)
+                look()
+
             result = upload(link, mission.mission, word, keep_in, Terms(holding=True), progress)
     except NotAllowedError as error:
         say(f"The extra pass was not uploaded: {error}")

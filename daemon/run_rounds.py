@@ -9,7 +9,7 @@ from dataclasses import dataclass, replace
 from datetime import UTC, datetime
 from pathlib import Path
 from types import FrameType
-from typing import TYPE_CHECKING, Literal
+from typing import TYPE_CHECKING, Literal, TypeVar
 
 from calib.errors import FieldcalError
 from calib.files import write_text_atomic
@@ -19,20 +19,25 @@ from calib.report_json import report_json
 from calib.result import CheckResult
 from calib.wording import VERDICT_WORDS, printable
 from daemon.again import leave_files
-from daemon.capture.tagging import Kind, tag_photos
+from daemon.aside import in_process, in_thread
+from daemon.capture.tagging import Kind, Tagged, tag_photos
 from daemon.cli_upload import backup_folder
 from daemon.flight import Flight
 from daemon.live.schemas import Log, Message
 from daemon.output import console, write_stdout
-from daemon.refly_offer import PATIENCE_S, Pass, find_pass, offer
 from daemon.run_screen import Screen
 from daemon.session.library import finish, reopen
+from daemon.session.reader import SessionReader
 from daemon.session.store import Session
 from daemon.terminal import print_summary
 
 if TYPE_CHECKING:
     from daemon.flight_link import FlightLink
+    from daemon.refly_offer import Pass
+    from mission.refly import Refly
+    from mission.refly_site import FlownSite
 
+T = TypeVar("T")
 #: Extra passes are offered so often: what two have not cured a third will not.
 MOST_PASSES = 2
 #: Nothing at the end of a flight takes longer: the report, copies with geotags, the search, an upload.
@@ -118,12 +123,13 @@ class Rounds:
     def _written(self, result: CheckResult) -> CheckResult:
         """With its report and what else was wished for."""
         wishes, session = self._wishes, self._session
-        result = replace(result, exports=write_outputs(result, session.folder))
+        result = replace(result, exports=self._aside(lambda: write_outputs(result, session.folder)))
         if wishes.out is not None:
-            write_outputs(result, wishes.out)
+            out = wishes.out
+            self._aside(lambda: write_outputs(result, out))
         if wishes.geotag is not None:
-            folder = session.folder / wishes.geotag.value
-            self._say(tag_photos(session, folder, wishes.geotag).sentence(folder))
+            kind, folder = wishes.geotag, session.folder / wishes.geotag.value
+            self._say(self._aside(lambda: _tagged(session.folder, folder, kind)).sentence(folder))
         finish(session)
         if wishes.json_to not in (None, "-"):
             write_text_atomic(Path(str(wishes.json_to)), report_json(result))
@@ -138,30 +144,52 @@ class Rounds:
         """Found, told and in the flight's folder; None where nothing is to be flown."""
         if result.verdict is not Verdict.REFLY:
             return None
+        # Loaded when it is wanted: a daemon that was killed is to be back soon.
+        from daemon.refly_offer import find_pass
+
         told = self._told
         launch, flavour = (None, "ardupilot") if told is None else (told.launch, told.flavour)
         with self._screen.busy("planning the extra pass"), self._alive(SEARCH_S):
-            found = find_pass(self._session, self._wishes.site, launch, flavour)
+            self._flight.at_work("planning the extra pass")
+            found = find_pass(self._session, self._wishes.site, launch, flavour, self._search)
         self._say(f"Extra pass: {found.text}")
         return found if found.photos else None
+
+    def _search(self, site: FlownSite) -> Refly:
+        from mission.refly import refly
+
+        return in_process(refly, (site,), self._flight.idle, SEARCH_S)
+
+    def _aside(self, work: Callable[[], T]) -> T:
+        return in_thread(work, self._flight.idle)
 
     def _uploaded(self, found: Pass) -> bool:
         told = self._told
         if told is None or not self._wishes.offer_refly:
             return False
+        from daemon.refly_offer import PATIENCE_S, offer
+
         with self._alive(PATIENCE_S + UPLOAD_S):
             return offer(
-                told, self._session, found, self._word, backup_folder(), self._say, self._screen.busy
+                *(told, self._session, found, self._word, backup_folder(), self._say, self._screen.busy),
+                meanwhile=self._flight.idle,
             )
 
     def _word(self) -> bool:
-        return self._wishes.yes or self._screen.ask("Upload the extra pass to the vehicle?")
+        """The operator may take a while to answer."""
+        question = "Upload the extra pass to the vehicle?"
+        return self._wishes.yes or self._aside(lambda: self._screen.ask(question))
 
     def _say(self, text: str) -> None:
         self._tell(self._log(text))
 
     def _log(self, text: str, level: Literal["info", "error"] = "info") -> Log:
         return Log(vehicle=self._vehicle, at=datetime.now(UTC), level=level, text=text)
+
+
+def _tagged(record: Path, folder: Path, kind: Kind) -> Tagged:
+    with SessionReader.open(record) as session:
+        return tag_photos(session, folder, kind)
 
 
 @contextmanager

@@ -27,7 +27,7 @@ FIRST_NUMBER = 17
 class Card:
     """Photos as a camera on the vehicle takes them, written by a thread. ``clock_s``: camera minus UTC.
 
-    ``drift_ppm``: how much the camera's clock gains since the vehicle's start. ``skip``: the vehicle's
+    ``drift_ppm``: how much the camera's clock gains since the vehicle's first start. ``skip``: the vehicle's
     photos (counted from 0) for which no file appears. ``by_hand``: so many photos, written at first, that
     no trigger belongs to. ``first``: number of the file of the vehicle's first photo.
     """
@@ -43,6 +43,9 @@ class Card:
     written: int = 0
     lock: threading.RLock = field(default_factory=threading.RLock)
 
+    def __post_init__(self) -> None:
+        self._set_s = self.server.vehicle.options.boot_utc_s
+
     def name(self, number: int) -> str:
         """Of the vehicle's photo, counted from 0."""
         return f"DSC{number + self.first:05d}.JPG"
@@ -53,7 +56,8 @@ class Card:
     def write_by_hand(self) -> None:
         """Test shots before the flight, some seconds apart."""
         for n in range(self.by_hand):
-            at_s = self.server.vehicle.boot_s - 7.3 * (self.by_hand - n)
+            vehicle = self.server.vehicle
+            at_s = vehicle.options.boot_utc_s + vehicle.boot_s - 7.3 * (self.by_hand - n)
             bare_photo(self.folder / f"DSC{n:05d}.JPG", self._moment(at_s), -n - 1, self.whole_seconds)
 
     def write_new(self) -> None:
@@ -65,12 +69,12 @@ class Card:
 
     def _write(self, number: int, photo: PhotoTaken) -> None:
         seed = self.first + number
-        bare_photo(self.folder / self.name(number), self._moment(photo.boot_s), seed, self.whole_seconds)
+        bare_photo(self.folder / self.name(number), self._moment(photo.utc_s), seed, self.whole_seconds)
 
-    def _moment(self, boot_s: float) -> datetime:
-        """What the camera's clock shows so long after the vehicle's start."""
-        began = datetime.fromtimestamp(self.server.vehicle.options.boot_utc_s, UTC)
-        return began + timedelta(seconds=boot_s * (1 + 1e-6 * self.drift_ppm) + self.clock_s)
+    def _moment(self, utc_s: float) -> datetime:
+        """What the camera's clock shows then."""
+        gained_s = 1e-6 * self.drift_ppm * (utc_s - self._set_s)
+        return datetime.fromtimestamp(utc_s, UTC) + timedelta(seconds=gained_s + self.clock_s)
 
 
 def bare_photo(path: Path, moment: datetime, seed: int, whole_seconds: bool) -> Path:

@@ -52,6 +52,35 @@ def test_numbers_start_again_with_the_vehicle() -> None:
     assert len(photos.photos) == 7
 
 
+def test_a_photo_told_again_after_the_restart_was_noticed_is_the_same() -> None:
+    """The numbers tell at once that the vehicle began anew, its clock some seconds later."""
+    photos = TriggerFilter()
+    for index in (1, 2, 4):
+        photos.add(feedback(index, 10.0 * index), 10.0 * index)
+    assert photos.add(feedback(1, 60.0), 60.0) is not None
+    photos.restarted(64.0)
+    assert photos.add(feedback(1, 60.0), 65.0) is None
+    assert photos.add(feedback(3, 70.0), 70.0) is not None
+    assert len(photos.photos) == 5
+    assert photos.lost() == (3, 2)
+    photos.restarted(200.0)
+    assert photos.add(feedback(3, 70.0), 200.5) is None
+    assert photos.add(feedback(4, 210.0), 210.0) is not None
+    assert len(photos.photos) == 6
+
+
+def test_the_second_source_may_tell_after_the_restart_was_noticed() -> None:
+    photos = TriggerFilter()
+    for index in (0, 1):
+        photos.add(ev.PhotoReport(TRIGGER, 1, 0, index, 50.0 + index, None), 50.0 + index)
+    photos.add(ev.PhotoReport(TRIGGER, 1, 0, 5, 12.0, None), 100.0)
+    photos.restarted(100.5)
+    assert photos.add(ev.PhotoReport(CAPTURED, 1, 0, 5, 12.0, UTC_S, confirmed=True), 100.7) is not None
+    # Of the new start, though its clock reads what it read for a photo long ago.
+    assert photos.add(ev.PhotoReport(CAPTURED, 1, 0, 6, 50.0, None, confirmed=True), 138.0) is not None
+    assert len(photos.photos) == 4
+
+
 def test_lost_numbers_are_told() -> None:
     photos = TriggerFilter()
     for index in (2, 3, 6, 8):

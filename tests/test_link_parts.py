@@ -283,6 +283,35 @@ def test_a_restart_begins_the_clocks_anew() -> None:
     assert state.time_base.boot_of_utc(1_780_000_134.0) == pytest.approx(4.0)
 
 
+@pytest.mark.parametrize("dated", [True, False])
+@pytest.mark.parametrize(("started_again", "boots"), [(True, 2), (False, 1)])
+def test_a_restart_in_a_long_silence_is_one_though_the_clock_reads_more(
+    dated: bool, started_again: bool, boots: int
+) -> None:
+    """Up for 20 s, not heard for 60, and then up for 40: its clock went on, but it was switched off."""
+    packer, state = Packer(1, 1), LinkState()
+
+    def hear(message: object, at_s: float) -> None:
+        nonlocal state
+        for frame in Splitter().feed(packer.pack(message)):
+            state, _ = state.hear(frame, at_s)
+
+    def told(boot_s: float, at_s: float, started_s: float) -> None:
+        if dated:
+            utc_us = round((1_780_000_000.0 + started_s + boot_s) * 1e6)
+            hear(mavlink.MAVLink_system_time_message(utc_us, round(boot_s * 1e3)), at_s)
+        hear(mavlink.MAVLink_attitude_message(round(boot_s * 1e3), 0, 0, 0, 0, 0, 0), at_s)
+
+    hear(mavlink.MAVLink_heartbeat_message(2, 3, 1, 0, 3, 3), 1000.0)
+    for n in range(20):
+        told(float(n), 1000.0 + n, 0.0)
+    # Undated it must be told from a vehicle that was heard all the time by its clock alone.
+    first_s, started_s = (40.0, 39.0) if started_again else (40.0 if dated else 79.0, 0.0)
+    for n in range(20):
+        told(first_s + 0.2 * n, 1079.0 + 0.2 * n, started_s)
+    assert state.boots == boots
+
+
 @pytest.mark.parametrize("flavour", encode.FLAVOURS)
 @pytest.mark.parametrize("seed", range(6))
 def test_transfers_survive_a_bad_line(flavour: Flavour, seed: int) -> None:

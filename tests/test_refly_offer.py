@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import pickle
+import time
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field, replace
@@ -12,11 +14,16 @@ import pytest
 pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
 
 from benchmarks.refly_optimality import flown
+from calib.errors import AlignmentError, InputError
 from calib.findings import Verdict
 from calib.flown_file import NETWORK_FILE, FlownCheck, network_bytes
 from calib.frames import LocalFrame
+from daemon.aside import in_process, in_thread
+from daemon.flight import Flight, Options
 from daemon.flight_link import FlightLink, open_source
 from daemon.link.vehicle_mission import mission_differences
+from daemon.live import schemas
+from daemon.live.schemas import Message
 from daemon.mission_file import load
 from daemon.refly_offer import FOLDER, MISSION, SHEET, UPLOADED, Pass, find_pass, offer
 from daemon.run_screen import Screen
@@ -24,10 +31,14 @@ from daemon.session.library import finish, reopen, unfinished
 from daemon.session.store import Session
 from mission import encode
 from mission.encode import Flavour
+from mission.refly import Refly, refly
+from mission.refly_site import FlownSite
 from sim.faults import LineFaults, Proxy
 from sim.vehicle import VehicleOptions, VehicleServer
 from sim.vehicle.pilot import Mode
+from tests.aside_work import refuse, wait_for_file
 from tests.link_flights import until
+from tests.test_flight import Scripted
 
 
 @pytest.fixture(scope="module")
@@ -71,6 +82,12 @@ class Bench:
         return mission_differences(items, self.server.vehicle.transfer.mission, flavour) == []
 
 
+def sent(site: FlownSite) -> Refly:
+    """Searched as in a process of its own: there and back as bytes."""
+    found: Refly = pickle.loads(pickle.dumps(refly(pickle.loads(pickle.dumps(site)))))
+    return found
+
+
 @contextmanager
 def bench(flavour: Flavour, check: FlownCheck, session: Session, north_deg: float = 0.0) -> Iterator[Bench]:
     latitude, longitude = launch_of(check)
@@ -86,7 +103,7 @@ def bench(flavour: Flavour, check: FlownCheck, session: Session, north_deg: floa
             return told.place is not None and told.launch is not None
 
         until(known, 120)
-        yield Bench(told, server, find_pass(session, None, told.launch, told.flavour), session)
+        yield Bench(told, server, find_pass(session, None, told.launch, told.flavour, sent), session)
 
 
 @pytest.mark.parametrize("flavour", encode.FLAVOURS)
@@ -164,3 +181,45 @@ def test_a_flight_that_is_reopened_can_be_gone_on_with(session: Session) -> None
     assert not unfinished(session).ended
     finish(session)
     assert unfinished(session).ended
+
+
+def test_the_flight_goes_on_being_told_while_a_pass_is_searched(tmp_path: Path) -> None:
+    """The search ends only when a photo that the vehicle took meanwhile, and its climb, were told."""
+    seen, told = tmp_path / "seen", list[Message]()
+    with (
+        Proxy(LineFaults()) as proxy,
+        VehicleServer(VehicleOptions("px4"), proxy.vehicle_address) as server,
+        Session.create(tmp_path / "record") as session,
+        FlightLink(open_source(proxy.url), session) as line,
+    ):
+        (tmp_path / "card").mkdir()
+        flight = Flight(session, Options("v", tmp_path / "card"), Scripted(), told.append, link=line)  # type: ignore[arg-type]
+        until(lambda: flight.idle() is None and line.place is not None, 120)
+        pilot = server.vehicle.pilot
+        assert pilot.arm(True)
+        assert pilot.take_off(30.0)
+        pilot.shoot()
+        began = len(told)
+
+        def meanwhile() -> None:
+            flight.idle()
+            fresh = told[began:]
+            heights = {m.height_m for m in fresh if isinstance(m, schemas.Link)}
+            shot = any(isinstance(m, schemas.Capture) and m.triggers for m in fresh)
+            if shot and len(heights) >= 4:
+                seen.touch()
+
+        assert in_process(wait_for_file, (seen,), meanwhile, 90.0)
+        assert in_thread(lambda: wait_for_file(seen), meanwhile)
+
+
+def test_what_goes_wrong_in_a_process_of_its_own_is_said_here() -> None:
+    def nothing() -> None:
+        """Nobody waits for anything."""
+
+    with pytest.raises(InputError, match="no folder"):
+        in_process(refuse, ("There is no folder.",), nothing, 60.0)
+    with pytest.raises(AlignmentError, match="longer than 0"):
+        in_process(time.sleep, (60.0,), nothing, 0.0)
+    with pytest.raises(InputError, match="no folder"):
+        in_thread(lambda: refuse("There is no folder."), nothing)

@@ -24,7 +24,7 @@ from benchmarks.processes import wait_for
 from calib.errors import FormatError
 from calib.findings import Verdict
 from calib.photos.photo import Photo
-from daemon import run_rounds
+from daemon import refly_offer, run_rounds
 from daemon.cli_run import run_command
 from daemon.config_file import read_options
 from daemon.live.schemas import Capture, Status
@@ -202,15 +202,16 @@ def test_the_search_for_a_pass_gives_signs_of_life(tmp_path: Path, monkeypatch: 
     result = SimpleNamespace(verdict=Verdict.REFLY)
     with Manager(str(tmp_path / "n")) as end, Notifier(environment) as notifier:
 
-        def long(*_: object) -> Pass:
+        def long(*_: object, **__: object) -> Pass:
             for _ in range(3):
                 end.until("WATCHDOG=1", 30)
             return Pass("found", 3)
 
-        monkeypatch.setattr(run_rounds, "find_pass", long)
-        monkeypatch.setattr(run_rounds, "offer", long)
+        monkeypatch.setattr(refly_offer, "find_pass", long)
+        monkeypatch.setattr(refly_offer, "offer", long)
         wishes = run_rounds.Wishes(offer_refly=True, yes=True)
-        parts: list[Any] = [None, None, None, screen, wishes, "one", notifier.tell, notifier.busy]
+        flight = SimpleNamespace(idle=lambda: None, at_work=lambda _: None)
+        parts: list[Any] = [flight, None, None, screen, wishes, "one", notifier.tell, notifier.busy]
         assert run_rounds.Rounds(*parts)._extra_pass(result) == Pass("found", 3)  # type: ignore[arg-type]
         parts[2] = SimpleNamespace(launch=None, flavour="px4")
         assert run_rounds.Rounds(*parts)._uploaded(Pass("found", 3))

@@ -12,7 +12,8 @@ import numpy as np
 
 from calib.photos.photo import AltitudeDatum, GimbalAngles, Position
 from daemon.capture.geotag import Geotag
-from daemon.capture.position import ExposurePosition, Track, TrackSample
+from daemon.capture.jumps import UNWATCHED_M, Doubt, Jumps
+from daemon.capture.position import MAX_HOLE_S, ExposurePosition, Track, TrackSample
 from daemon.link import events as ev
 from daemon.link.attitude import between, earth_angles
 from daemon.link.events import Angles, PhotoFacts
@@ -31,6 +32,10 @@ _WAIT_S = 1.5
 #: they state but do not keep over a flight.
 _RTK = 5
 _LEAST_PLAIN_M = 1.0
+#: Single-frequency ranges in the open, one sigma: what times the dilution gives a sigma where none is stated.
+_RANGE_M, _RANGE_UP_M = 1.9, 2.1
+#: GPS_FIX_TYPE of a place in three dimensions; without one the autopilot reckons on, and drifts.
+_FIXED, _UNFIXED_M = 3, 30.0
 #: At most what a survey is flown at; for a position whose speed is not known.
 _SPEED_M_S = 10.0
 
@@ -44,24 +49,34 @@ class Recent:
         self._attitudes: deque[tuple[float, Angles]] = deque(maxlen=_MOST)
         self._gimbals: deque[tuple[float, ev.GimbalAttitude]] = deque(maxlen=_MOST)
         self._plain = TrackSample(0.0, 0.0, 0.0, 0.0)
+        self._rtk = False
+        self.jumps = Jumps()
+        self._news: list[Doubt] = []
+
+    def news(self) -> list[Doubt]:
+        """Jumps of the position since the last call."""
+        found, self._news = self._news, []
+        return found
 
     def add(self, event: ev.Event) -> None:
         if isinstance(event, ev.VehicleRestarted):
             for series in (self._samples, self._attitudes, self._gimbals):
                 series.clear()
+            self.jumps = Jumps()
         elif isinstance(event, ev.GnssFix):
-            self._plain = _accuracy(event)
+            self._plain, self._rtk = _accuracy(event), event.fix >= _RTK
         elif isinstance(event, ev.Position):
             self._launch_m = event.altitude_msl_m - event.height_m
-            self._samples.append(
-                replace(
-                    self._plain,
-                    time_s=event.vehicle_boot_s,
-                    latitude_deg=event.latitude_deg,
-                    longitude_deg=event.longitude_deg,
-                    altitude_m=event.altitude_msl_m,
-                )
+            sample = replace(
+                self._plain,
+                time_s=event.vehicle_boot_s,
+                latitude_deg=event.latitude_deg,
+                longitude_deg=event.longitude_deg,
+                altitude_m=event.altitude_msl_m,
             )
+            self._samples.append(sample)
+            jump = self.jumps.add(sample, event.velocity_enu_m_s)
+            self._news += [] if jump is None else [jump]
             self._forget(event.vehicle_boot_s - KEEP_S)
         elif isinstance(event, ev.Attitude):
             self._attitudes.append((event.vehicle_boot_s, event.angles))
@@ -88,7 +103,7 @@ class Recent:
         if place is None:
             return None
         height_m = None if self._launch_m is None else place.altitude_m - self._launch_m
-        return self._tag(boot_s, _position(place, height_m))
+        return self._tag(boot_s, doubted(_position(place, height_m), *self.jumps.at(boot_s)))
 
     def told(self, photo: PhotoFacts, boot_s: float | None, sigma_s: float) -> Geotag | None:
         """The same from the position that came with the photo's own message; None where none came."""
@@ -104,10 +119,21 @@ class Recent:
             float(np.hypot(self._plain.sigma_vertical_m, moved_m)),
             AltitudeDatum.SEA_LEVEL,
         )
+        if boot_s is not None and self._watched(boot_s):
+            place = doubted(place, *self.jumps.at(boot_s))
+        elif not self._rtk:
+            # Nothing shows whether the place had jumped then.
+            place = doubted(place, UNWATCHED_M, UNWATCHED_M)
         tag = self._tag(boot_s, place)
         if tag.aircraft is None and photo.vehicle_angles is not None:
             return replace(tag, aircraft=_camera_angles(photo.vehicle_angles))
         return tag
+
+    def _watched(self, boot_s: float) -> bool:
+        """Whether the track has no hole there."""
+        before = max((s.time_s for s in self._samples if s.time_s <= boot_s), default=-np.inf)
+        after = min((s.time_s for s in self._samples if s.time_s >= boot_s), default=np.inf)
+        return after - before <= MAX_HOLE_S
 
     def _tag(self, boot_s: float | None, place: Position) -> Geotag:
         aircraft = None if boot_s is None else _mean(_around(self._attitudes, boot_s), boot_s)
@@ -136,13 +162,29 @@ class Recent:
 
 
 def _accuracy(fix: ev.GnssFix) -> TrackSample:
-    """The receiver's claim, as far as it is believed."""
+    """The receiver's claim, as far as it is believed; without one what its dilutions make likely."""
     least_m = 0.0 if fix.fix >= _RTK else _LEAST_PLAIN_M
     usual = TrackSample(0.0, 0.0, 0.0, 0.0)
+    across_m, up_m = usual.sigma_horizontal_m, usual.sigma_vertical_m
+    if fix.hdop is not None:
+        across_m = max(across_m, _RANGE_M * fix.hdop)
+    if fix.vdop is not None:
+        up_m = max(up_m, _RANGE_UP_M * fix.vdop)
+    if fix.fix < _FIXED:
+        across_m = up_m = least_m = _UNFIXED_M
     return replace(
         usual,
-        sigma_horizontal_m=max(fix.horizontal_accuracy_m or usual.sigma_horizontal_m, least_m),
-        sigma_vertical_m=max(fix.vertical_accuracy_m or usual.sigma_vertical_m, least_m),
+        sigma_horizontal_m=max(fix.horizontal_accuracy_m or across_m, least_m),
+        sigma_vertical_m=max(fix.vertical_accuracy_m or up_m, least_m),
+    )
+
+
+def doubted(place: Position, horizontal_m: float, vertical_m: float) -> Position:
+    """The same place, known by so much worse."""
+    return replace(
+        place,
+        sigma_horizontal_m=float(np.hypot(place.sigma_horizontal_m or 0.0, horizontal_m)),
+        sigma_vertical_m=float(np.hypot(place.sigma_vertical_m or 0.0, vertical_m)),
     )
 
 

@@ -14,7 +14,7 @@ from pydantic import TypeAdapter
 
 from daemon.capture.adapters import image_index
 from daemon.capture.geotag import Geotag
-from daemon.capture.recent import Recent
+from daemon.capture.recent import Recent, doubted
 from daemon.link.clock import TimeBase
 from daemon.link.events import PhotoReport
 from daemon.link.triggers import Trigger as LinkTrigger
@@ -103,7 +103,7 @@ class TriggerBook:
 
     def restarted(self, heard_s: float) -> None:
         """The vehicle began anew: its numbers and boot times are others now. Raises as :meth:`hear`."""
-        self._filter.restarted()
+        self._filter.restarted(heard_s)
         self._started = self.count
         self._session.add_event(Event(RESTARTED, Stamp(heard_s, ClockName.UTC), {"photos": self.count}))
 
@@ -112,31 +112,47 @@ class TriggerBook:
 
         ``now_s``: the receiver's clock, as in ``heard_s``.
         """
+        self._doubt(recent, now_s)
         for number, heard_s in list(self._open.items()):
             photo = self._filter.photos[number - 1]
             given_up = now_s - heard_s > _PATIENCE_S or number <= self._started
-            utc_s, boot_s = self._times[number] = _known(self._times.get(number), _times(photo, base))
+            _, boot_s = self._times[number] = _known(self._times.get(number), _times(photo, base))
             if not given_up and (boot_s is None or not recent.covers(boot_s)):
                 continue
             del self._open[number]
             sigma_s = EXPOSED_SIGMA_S if photo.completed else ORDERED_SIGMA_S
-            interpolated = None
-            if boot_s is not None and number > self._started:
-                interpolated = recent.at(boot_s, sigma_s)
+            if number <= self._started:
+                boot_s = None  # Of another clock than what is known of the track now.
+            interpolated = None if boot_s is None else recent.at(boot_s, sigma_s)
             told = recent.told(photo, boot_s, sigma_s)
             tags = [tag for tag in (interpolated, told) if tag is not None]
             if not tags:
                 continue
             # At the edge of a hole in the track the photo's own message knows better.
             tag = min(tags, key=lambda one: one.position.sigma_horizontal_m or 0.0)
-            data = {
-                "photo": number,
-                "utc_s": utc_s,
-                "boot_s": boot_s,
-                "tag": _TAG.dump_python(tag, mode="json"),
-            }
-            self._session.add_event(Event(PLACED, Stamp(now_s, ClockName.UTC), data))
-            self.places[number] = tag
+            self._put(number, tag, now_s)
+
+    def _doubt(self, recent: Recent, now_s: float) -> None:
+        """Photos that were placed before it showed that their places may have jumped are known worse."""
+        for doubt in recent.jumps.looking_back():
+            for number in range(self._started + 1, self.count + 1):
+                tag, boot_s = self.places.get(number), self._times[number][1]
+                if tag is None or boot_s is None or not doubt.holds(boot_s):
+                    continue
+                place = doubted(tag.position, doubt.horizontal_m, doubt.vertical_m)
+                self._put(number, replace(tag, position=place), now_s)
+
+    def _put(self, number: int, tag: Geotag, now_s: float) -> None:
+        """Recorded; what was recorded of this photo before is over."""
+        utc_s, boot_s = self._times[number]
+        data = {
+            "photo": number,
+            "utc_s": utc_s,
+            "boot_s": boot_s,
+            "tag": _TAG.dump_python(tag, mode="json"),
+        }
+        self._session.add_event(Event(PLACED, Stamp(now_s, ClockName.UTC), data))
+        self.places[number] = tag
 
     def _note_offer(self, number: int, report: PhotoReport) -> None:
         if report.url and report.confirmed is not False:
@@ -152,7 +168,7 @@ class TriggerBook:
         for event in self._session.events():
             kind, data = event.value.kind, event.value.data
             if kind == RESTARTED:
-                self._filter.restarted()
+                self._filter.restarted(event.value.at.time_s)
                 self._started = self.count
             elif kind == HEARD:
                 heard_s = event.value.at.time_s

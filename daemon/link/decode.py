@@ -70,7 +70,10 @@ def _position(m: Message, _: Context) -> ev.Event | None:
 
 def _gnss(m: Message, _: Context) -> ev.Event:
     satellites = m.known("satellites_visible", 255)
-    return ev.GnssFix(m.integer("fix_type"), satellites, _accuracy_m(m, "h_acc"), _accuracy_m(m, "v_acc"))
+    accuracies = _accuracy_m(m, "h_acc"), _accuracy_m(m, "v_acc")
+    return ev.GnssFix(
+        m.integer("fix_type"), satellites, *accuracies, _dilution(m, "eph"), _dilution(m, "epv")
+    )
 
 
 def _attitude(m: Message, _: Context) -> ev.Event | None:
@@ -337,6 +340,11 @@ def _place(m: Message, latitude: str, longitude: str) -> tuple[float, float] | N
 def _accuracy_m(m: Message, name: str) -> float | None:
     value = m.known(name, 0)
     return None if value is None or value >= 2**32 - 1 else value / 1e3
+
+
+def _dilution(m: Message, name: str) -> float | None:
+    value = m.known(name, 65535)
+    return value / 100 if value else None
 
 
 def _either(time_us: int) -> tuple[float | None, float | None]:

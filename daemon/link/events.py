@@ -62,12 +62,15 @@ class Position:
 
 @dataclass(frozen=True)
 class GnssFix:
-    """``fix``: MAVLink's GPS_FIX_TYPE (3 and more is a place). Accuracies are the receiver's claim."""
+    """``fix``: MAVLink's GPS_FIX_TYPE (3 and more is a place). Accuracies are the receiver's claim, ``hdop``
+    and ``vdop`` its dilutions of precision."""
 
     fix: int
     satellites: int | None
     horizontal_accuracy_m: float | None
     vertical_accuracy_m: float | None
+    hdop: float | None = None
+    vdop: float | None = None
 
 
 @dataclass(frozen=True)

@@ -19,8 +19,9 @@ from daemon.link.wire import GROUND_STATION, SYSTEM_ID, Frame
 E = TypeVar("E", bound=ev.Event)
 #: Without a heartbeat for this long the vehicle counts as gone.
 SILENT_S = 3.5
-#: A boot time that falls back by more than this is another boot, once so many messages in a row, over so
-#: long, say so and go on from there. Messages that were held up somewhere come in no order, or among newer.
+#: A boot time that falls back by more than this, or is shorter than the silence before it, is another boot,
+#: once so many messages in a row, over so long, say so and go on from there. Messages that were held up
+#: somewhere come in no order, or among newer.
 RESTART_S, RESTART_MESSAGES, RESTART_STAYS_S = 5.0, 8, 0.5
 #: By so much messages of one clock may come out of order.
 _SHUFFLED_S = 1.0
@@ -65,6 +66,7 @@ class LinkState:
     boots: int = 1
     counts: Mapping[str, int] = field(default_factory=dict)
     _boot_s: float | None = None
+    _boot_heard_s: float = 0.0
     _behind: _Behind | None = None
     _asked_ns: tuple[int, ...] = ()
 
@@ -126,7 +128,8 @@ class LinkState:
     def _with(self, event: ev.Event, frame: Frame, at_s: float) -> tuple[LinkState, tuple[ev.Event, ...]]:
         state, before = self, tuple[ev.Event, ...]()
         if isinstance(event, _TIMED) and frame.component_id == _AUTOPILOT_COMPONENT:
-            state = state._at_boot(event.vehicle_boot_s, at_s)
+            utc_s = event.utc_s if isinstance(event, ev.SystemTime) else None
+            state = state._at_boot(event.vehicle_boot_s, at_s, utc_s)
             if state.boots > self.boots:
                 before = (ev.VehicleRestarted(state.boots),)
         if isinstance(event, ev.TimeSync):
@@ -138,17 +141,34 @@ class LinkState:
             state = replace(state, parameters={**state.parameters, event.name: event.value})
         return replace(state, latest={**state.latest, type(event): event}), (*before, event)
 
-    def _at_boot(self, boot_s: float, at_s: float) -> LinkState:
-        """The vehicle's clock was read; one boot more where it started anew."""
-        if self._boot_s is None or boot_s >= self._boot_s - RESTART_S:
-            return replace(self, _boot_s=max(boot_s, self._boot_s or 0.0), _behind=None)
+    def _at_boot(self, boot_s: float, at_s: float, utc_s: float | None) -> LinkState:
+        """The vehicle's clock was read, and perhaps its UTC; one boot more where it started anew."""
+        if self._boot_s is None:
+            return replace(self, _boot_s=boot_s, _boot_heard_s=at_s)
+        if boot_s >= self._boot_s - RESTART_S:
+            newer = max(boot_s, self._boot_s)
+            if boot_s >= at_s - self._boot_heard_s - _SHUFFLED_S:
+                heard_s = at_s if boot_s == newer else self._boot_heard_s
+                return replace(self, _boot_s=newer, _boot_heard_s=heard_s, _behind=None)
+            # It seems to have been switched on while nobody heard it; or it is a simulation that runs slowly.
+            known = self.time_base.utc_from_boot.samples
+            if known and utc_s is None:
+                return self
+            if known and utc_s is not None and abs(utc_s - boot_s - known[-1].offset_s) < _SHUFFLED_S:
+                return replace(self, _boot_s=newer, _boot_heard_s=at_s, _behind=None)
+            if known:
+                return self._anew(boot_s, at_s)
         behind = self._behind
         if behind is None or boot_s < behind.boot_s - _SHUFFLED_S:
             return replace(self, _behind=_Behind(at_s, boot_s))
         behind = _Behind(behind.since_s, max(boot_s, behind.boot_s), behind.count + 1)
         if behind.count < RESTART_MESSAGES or at_s - behind.since_s < RESTART_STAYS_S:
             return replace(self, _behind=behind)
-        return replace(self, boots=self.boots + 1, time_base=TimeBase(), _boot_s=behind.boot_s, _behind=None)
+        return self._anew(behind.boot_s, at_s)
+
+    def _anew(self, boot_s: float, at_s: float) -> LinkState:
+        fresh = replace(self, boots=self.boots + 1, time_base=TimeBase(), _behind=None)
+        return replace(fresh, _boot_s=boot_s, _boot_heard_s=at_s)
 
     def _timesync(self, event: ev.TimeSync, frame: Frame, at_s: float) -> LinkState:
         """Answers to another station's questions are heard as well: only ours count."""

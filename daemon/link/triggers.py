@@ -11,6 +11,7 @@ until the next one is taken.
 
 from __future__ import annotations
 
+import math
 from dataclasses import dataclass, field, fields, replace
 
 from daemon.link.events import PhotoFacts, PhotoReport, PhotoSource
@@ -22,6 +23,12 @@ SAME_CLOCK_S = 0.45
 ARRIVAL_S = 1.0
 #: Where the numbers say something else, times must agree this well to be believed.
 SURE_S = 0.1
+#: Numbers tell of a new start first, the clock within so long.
+NOTICED_S = 30.0
+#: The same number with a time so near is the same message.
+SAME_REPORT_S = 1e-3
+#: The other source may tell of a photo so long after, while the vehicle's new start is noticed.
+LATE_S = 5.0
 #: A number told again with a time this much later is another photo: the vehicle started anew.
 RESTART_S = 2.0
 #: A report is compared with so many photos back.
@@ -63,6 +70,8 @@ class TriggerFilter:
     _times: dict[_Key, tuple[float | None, float | None]] = field(default_factory=dict)
     _highest: dict[_Stream, tuple[int, float]] = field(default_factory=dict)
     _steps: dict[tuple[PhotoSource, PhotoSource], tuple[int, int]] = field(default_factory=dict)
+    _lost: tuple[int, ...] = ()
+    _noticed_s: float = -math.inf
     _epoch: int = 0
     _epoch_start: int = 0
 
@@ -72,10 +81,12 @@ class TriggerFilter:
         ``heard_s``: arrival on any clock that never steps, in vehicle time or faster.
         """
         if self._restarted(report):
-            self.restarted()
+            self._begin_anew()
+            self._noticed_s = heard_s
         key = self._key(report)
-        known = self._by_key.get(key)
+        known = self._by_key.get(key, self._told_before(key, report))
         if known is not None:
+            self._by_key[key] = known
             return self._merge(known, report)
         self._times[key] = (report.vehicle_boot_s, report.utc_s)
         if report.utc_s is not None:
@@ -92,18 +103,40 @@ class TriggerFilter:
         self.photos.append(Trigger(number, 0, heard_s, own, report.camera, **shared))
         return self.photos[-1]
 
-    def restarted(self) -> None:
-        """The vehicle started anew (its boot time went back): numbers seen from here on are new photos."""
+    def _told_before(self, key: _Key, report: PhotoReport) -> int | None:
+        """The same photo, told before it was known that the vehicle had started anew."""
+        earlier = (key[0] - 1, *key[1:])
+        before = self._times.get(earlier)
+        apart = None if before is None else _apart_s(before, (report.vehicle_boot_s, report.utc_s))
+        if apart is None or abs(apart) > SAME_REPORT_S:
+            return None
+        self._times[key] = (report.vehicle_boot_s, report.utc_s)
+        return self._by_key.get(earlier)
+
+    def restarted(self, heard_s: float = math.inf) -> None:
+        """The vehicle started anew (its boot time went back): numbers seen from here on are new photos.
+
+        Where numbers told it shortly before, they are so already.
+        """
+        if heard_s - self._noticed_s > NOTICED_S:
+            self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        self._lost += self._lost_now()
         self._epoch += 1
         self._epoch_start = len(self.photos)
         self._steps.clear()
         self._highest.clear()
 
     def lost(self) -> tuple[int, ...]:
-        """Numbers since the vehicle's start that no message told of, between the first and the last told.
+        """Numbers that no message told of, between the first and the last told since each of the vehicle's
+        starts (so a number may be there twice).
 
         In the numbering of the first source that is there of feedback, trigger, captured. One camera.
         """
+        return (*self._lost, *self._lost_now())
+
+    def _lost_now(self) -> tuple[int, ...]:
         current = self.photos[self._epoch_start :]
         for source in PhotoSource:
             if not any(photo.index(source) is not None for photo in current):
@@ -145,16 +178,18 @@ class TriggerFilter:
     def _partner(self, report: PhotoReport, heard_s: float) -> int | None:
         """The photo that another source told of, and this one not yet."""
         best: tuple[float, int] | None = None
-        first = max(self._epoch_start, len(self.photos) - LOOK_BACK)
-        for place in range(first, len(self.photos)):
+        for place in range(max(0, len(self.photos) - LOOK_BACK), len(self.photos)):
             photo = self.photos[place]
-            if photo.index(report.source) is not None:
+            earlier = place < self._epoch_start
+            if photo.index(report.source) is not None or (earlier and heard_s - photo.heard_s > LATE_S):
                 continue
             gap = _apart_s((photo.vehicle_boot_s, photo.utc_s), (report.vehicle_boot_s, report.utc_s))
-            limit = SAME_CLOCK_S
+            limit = SURE_S if earlier else SAME_CLOCK_S
+            if gap is None and earlier:
+                continue
             if gap is None:
                 gap, limit = heard_s - photo.heard_s, ARRIVAL_S
-            in_step = self._in_step(photo, report)
+            in_step = None if earlier else self._in_step(photo, report)
             if in_step is not None and not in_step:
                 limit = SURE_S
             elif in_step:

@@ -4,10 +4,12 @@
 both return the messages to send. :mod:`sim.vehicle.server` runs one over UDP.
 """
 
+from sim.vehicle.air import Wind
 from sim.vehicle.camera import PhotoTaken
 from sim.vehicle.faults import Faults
 from sim.vehicle.options import VehicleOptions
+from sim.vehicle.receiver import Gnss
 from sim.vehicle.server import VehicleServer
 from sim.vehicle.vehicle import Vehicle
 
-__all__ = ["Faults", "PhotoTaken", "Vehicle", "VehicleOptions", "VehicleServer"]
+__all__ = ["Faults", "Gnss", "PhotoTaken", "Vehicle", "VehicleOptions", "VehicleServer", "Wind"]

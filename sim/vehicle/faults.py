@@ -21,7 +21,8 @@ class Faults:
     """``drop_share``, ``repeat_share``: of the vehicle's messages. ``delay_s`` +- ``jitter_s`` (link
     time; jitter larger than the spacing of messages reorders them). ``reject_item``: this item of the
     first upload is refused. ``cut_at_item``: the link dies when this item of an upload arrives, for
-    ``cut_s``. ``miss_photo_share``: triggers whose photo is never taken."""
+    ``cut_s``. ``miss_photo_share``: triggers whose photo is never taken. ``power_cycles_s``: so long in the
+    air the autopilot's power fails for ``off_s``; it flies on, as after a watchdog's restart."""
 
     drop_share: float = 0.0
     repeat_share: float = 0.0
@@ -32,6 +33,8 @@ class Faults:
     cut_at_item: int | None = None
     cut_s: float = 10.0
     miss_photo_share: float = 0.0
+    power_cycles_s: tuple[float, ...] = ()
+    off_s: float = 1.5
 
 
 @dataclass

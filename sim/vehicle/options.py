@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from calib.frames import LocalFrame
 from mission.encode import Flavour
+from sim.vehicle.air import Wind
+from sim.vehicle.receiver import Gnss
 
 #: Where it stands if nobody says otherwise.
 HOME = LocalFrame(47.0, 8.5, 430.0)
@@ -18,7 +20,7 @@ class VehicleOptions:
     a separate camera confirms every photo with CAMERA_IMAGE_CAPTURED (ArduPilot; from
     component 100, on its own clock, ``camera_lag_s`` late). ``camera_interval_s``: commands sooner
     after a photo are accepted and lost, photos by distance wait. ``parameters``: other values than
-    :mod:`sim.vehicle.parameters` has.
+    :mod:`sim.vehicle.parameters` has. ``wind`` and ``gnss``: calm and without error unless told otherwise.
     """
 
     flavour: Flavour = "ardupilot"
@@ -39,3 +41,5 @@ class VehicleOptions:
     feedback_pin: bool = False
     system_id: int = 1
     parameters: tuple[tuple[str, float], ...] = ()
+    wind: Wind = field(default_factory=Wind)
+    gnss: Gnss = field(default_factory=Gnss)

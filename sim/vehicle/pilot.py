@@ -136,6 +136,17 @@ class Pilot:
                 if self.mode is Mode.MISSION:
                     self.stage = MissionStage.COMPLETE
 
+    def switched_off(self) -> None:
+        """In flight, and on again: it stands still meanwhile, and goes on with what it was at."""
+        if not self.flying:
+            return
+        if self._legs:
+            return
+        self.body.hold()
+        if self.mode is Mode.MISSION and self.stage is MissionStage.ACTIVE:
+            self._leave_mission()
+            self._enter_mission()
+
     def _step_mission(self, dt_s: float) -> None:
         raise NotImplementedError
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import math
 import struct
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -14,6 +15,7 @@ from sim.vehicle.dialect import MavMessage, mavlink
 from sim.vehicle.motion import Body, Place
 from sim.vehicle.options import VehicleOptions
 from sim.vehicle.pilot import MissionStage, Mode, Pilot
+from sim.vehicle.receiver import Receiver
 
 _COPTER_MODES = {
     **{Mode.MANUAL: 0, Mode.HOLD: 5, Mode.GUIDED: 4, Mode.MISSION: 3, Mode.RETURN: 6, Mode.LAND: 9},
@@ -55,6 +57,7 @@ class Telemetry:
 
     options: VehicleOptions
     body: Body
+    receiver: Receiver
     pilot: Pilot
     used_share: float = 0.0
     last_photo: PhotoTaken | None = None
@@ -86,6 +89,12 @@ class Telemetry:
         builder = _BUILDERS.get(name)
         return None if builder is None else builder(self, now_s)
 
+    def switched_off(self, options: VehicleOptions) -> None:
+        """Nobody has asked for anything yet."""
+        self.options, self.last_photo = options, None
+        self.rates_hz.clear()
+        self._next_s.clear()
+
     def boot_ms(self, now_s: float) -> int:
         return int(now_s * 1e3)
 
@@ -107,12 +116,12 @@ class Telemetry:
 
     def feedback(self, photo: PhotoTaken) -> MavMessage:
         """CAMERA_FEEDBACK: UTC, or with a feedback pin boot time; the vehicle's angles."""
-        x, y, altitude = self.place(photo.at_m)
+        x, y, altitude = self.place(photo.believed_m)
         pin = self.options.feedback_pin
         stamp = round(photo.boot_s * 1e6) if pin else self.utc_us(photo.boot_s)
         return mavlink.MAVLink_camera_feedback_message(
-            *(stamp, 0, 0, photo.index, x, y, altitude, photo.at_m[2]),
-            *(0.0, photo.vehicle_pitch_deg, photo.yaw_deg % 360, 0.0, 0),
+            *(stamp, 0, 0, photo.index, x, y, altitude, photo.believed_m[2], photo.vehicle_roll_deg),
+            *(photo.vehicle_pitch_deg, photo.yaw_deg % 360, 0.0, 0),
             photo.index if pin else 0,
         )
 
@@ -121,12 +130,12 @@ class Telemetry:
 
     def captured(self, photo: PhotoTaken, camera_component: bool) -> MavMessage:
         """CAMERA_IMAGE_CAPTURED: of PX4 itself, or of a separate camera on its own clock."""
-        x, y, altitude = self.place(photo.at_m)
+        x, y, altitude = self.place(photo.believed_m)
         boot_s = photo.boot_s - 7.0 if camera_component else photo.boot_s
         index = photo.index - 1 if camera_component else photo.index
         return mavlink.MAVLink_camera_image_captured_message(
             *(self.boot_ms(max(boot_s, 0.001)), self.utc_us(photo.boot_s), 0, x, y),
-            *(round(altitude * 1e3), round(photo.at_m[2] * 1e3)),
+            *(round(altitude * 1e3), round(photo.believed_m[2] * 1e3)),
             *(quaternion(0.0, photo.pitch_deg, photo.yaw_deg), index, 1, b""),
         )
 
@@ -150,35 +159,52 @@ class Telemetry:
         )
 
     def _position(self, now_s: float) -> MavMessage:
-        x, y, altitude = self.place(self.body.at_m)
+        told_m = self._told_m
+        x, y, altitude = self.place(told_m)
         east, north, up = self.body.velocity_m_s
         return mavlink.MAVLink_global_position_int_message(
-            *(self.boot_ms(now_s), x, y, round(altitude * 1e3), round(self.body.at_m[2] * 1e3)),
+            *(self.boot_ms(now_s), x, y, round(altitude * 1e3), round(told_m[2] * 1e3)),
             *(round(north * 100), round(east * 100), round(-up * 100)),
             round(self.body.yaw_deg * 100) % 36000,
         )
 
+    @property
+    def _told_m(self) -> Place:
+        """The vehicle's place as its estimate has it: the receiver's error and all."""
+        east, north, up = (a + b for a, b in zip(self.body.at_m, self.receiver.error_m, strict=True))
+        return (east, north, up)
+
     def _gps(self, now_s: float) -> MavMessage:
-        x, y, altitude = self.place(self.body.at_m)
+        x, y, altitude = self.place(self._told_m)
+        stated = [round(1e3 * value) for value in self.receiver.gnss.stated_m]
+        if not self.receiver.gnss.accuracies:
+            stated = [0, 0]
         return mavlink.MAVLink_gps_raw_int_message(
-            *(round(now_s * 1e6), 3, x, y, round(altitude * 1e3), 80, 120, 0, 65535, 14),
-            *(0, 1500, 2500, 300, 0, 0),
+            *(round(now_s * 1e6), 3, x, y, round(altitude * 1e3), *self._dilutions, 0, 65535, 14),
+            *(0, *stated, 300, 0, 0),
         )
 
+    @property
+    def _dilutions(self) -> tuple[int, int]:
+        """HDOP and VDOP, in hundredths: what the receiver's errors are held to come of."""
+        horizontal, vertical = self.receiver.gnss.stated_m
+        return (round(80 * horizontal / 1.5), round(120 * vertical / 2.5))
+
     def _attitude(self, now_s: float) -> MavMessage:
-        pitch, yaw = math.radians(-self.body.lean_deg), math.radians(self.body.yaw_deg)
+        roll, pitch = math.radians(self.body.roll_deg), math.radians(-self.body.lean_deg)
+        yaw = math.radians(self.body.yaw_deg)
         return mavlink.MAVLink_attitude_message(
-            self.boot_ms(now_s), 0.0, pitch, (yaw + math.pi) % (2 * math.pi) - math.pi, 0.0, 0.0, 0.0
+            self.boot_ms(now_s), roll, pitch, (yaw + math.pi) % (2 * math.pi) - math.pi, 0.0, 0.0, 0.0
         )
 
     def _gimbal(self, now_s: float) -> MavMessage:
         """ArduPilot's servo mount tells body angles, whatever its lock flags (roll, pitch) say."""
-        pitch = self.body.gimbal_pitch_deg
+        body, nan = self.body, math.nan
+        looks = quaternion(0.0, body.gimbal_pitch_deg, 0.0)
         if self.options.flavour == "ardupilot":
-            pitch += self.body.lean_deg
-        nan = math.nan
+            looks = turned_back(quaternion(body.roll_deg, -body.lean_deg, 0.0), looks)
         return mavlink.MAVLink_gimbal_device_attitude_status_message(
-            *(0, 0, self.boot_ms(now_s), 4 | 8, quaternion(0.0, pitch, 0.0), nan, nan, nan, 0)
+            *(0, 0, self.boot_ms(now_s), 4 | 8, looks, nan, nan, nan, 0)
         )
 
     def _mission_current(self, _: float) -> MavMessage:
@@ -269,4 +295,22 @@ def quaternion(roll_deg: float, pitch_deg: float, yaw_deg: float) -> list[float]
         cr * sp * cy + sr * cp * sy,
         cr * cp * sy - sr * sp * cy,
     )
+    return _single(exact)
+
+
+def turned_back(frame: Sequence[float], turn: Sequence[float]) -> list[float]:
+    """A rotation as seen from a frame that is itself turned: inverse of ``frame``, then ``turn``."""
+    a, b, c, d = frame[0], -frame[1], -frame[2], -frame[3]
+    e, f, g, h = turn
+    return _single(
+        (
+            a * e - b * f - c * g - d * h,
+            a * f + b * e + c * h - d * g,
+            a * g - b * h + c * e + d * f,
+            a * h + b * g - c * f + d * e,
+        )
+    )
+
+
+def _single(exact: Sequence[float]) -> list[float]:
     return list(struct.unpack("<4f", struct.pack("<4f", *exact)))

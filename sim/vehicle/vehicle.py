@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import random
+from dataclasses import replace
 
 from sim.vehicle import parameters
 from sim.vehicle.camera import Camera, PhotoTaken
@@ -12,6 +13,7 @@ from sim.vehicle.faults import Faults
 from sim.vehicle.motion import Body
 from sim.vehicle.options import VehicleOptions
 from sim.vehicle.pilot import CopterPilot, MissionStage, Px4Pilot
+from sim.vehicle.receiver import Receiver
 from sim.vehicle.telemetry import STREAM_GROUPS, Telemetry
 from sim.vehicle.transfer import MissionTransfer
 
@@ -30,15 +32,19 @@ class Vehicle:
     def __init__(
         self, options: VehicleOptions, rng: random.Random | None = None, faults: Faults | None = None
     ) -> None:
-        faults = faults or Faults()
+        faults, rng = faults or Faults(), rng or random.Random(0)
         self.options = options
         self.boot_s = 0.0
         self.link_s = 0.0
-        self.body = Body(options)
-        self.camera = Camera(options, rng or random.Random(0), faults.miss_photo_share)
+        # Of their own, so that what the air does changes nothing of what the shutter does.
+        seeds = random.Random()
+        seeds.setstate(rng.getstate())
+        self.body = Body(options, random.Random(seeds.random()))
+        self.receiver = Receiver(options.gnss, random.Random(seeds.random()))
+        self.camera = Camera(options, rng, faults.miss_photo_share)
         kind = CopterPilot if options.flavour == "ardupilot" else Px4Pilot
         self.pilot = kind(options, self.body, self.camera, lambda: self.transfer.mission, self._shoot)
-        self.telemetry = Telemetry(options, self.body, self.pilot)
+        self.telemetry = Telemetry(options, self.body, self.receiver, self.pilot)
         self.transfer = MissionTransfer(
             options.flavour,
             self.telemetry.home_item,
@@ -51,6 +57,8 @@ class Vehicle:
         self._confirm: list[PhotoTaken] = []
         self._told_low = False
         self._behind_s = 0.0
+        self._off_s, self._air_s = faults.off_s, 0.0
+        self._power_cycles_s = sorted(faults.power_cycles_s)
 
     @property
     def photos(self) -> list[PhotoTaken]:
@@ -63,7 +71,7 @@ class Vehicle:
 
     def receive(self, message: MavMessage) -> list[MavMessage]:
         """Answer one message. Messages for other systems, and of no interest, are left alone."""
-        if getattr(message, "target_system", 0) not in (0, self.options.system_id):
+        if self.boot_s < 0 or getattr(message, "target_system", 0) not in (0, self.options.system_id):
             return []
         name = message.get_type()
         if name in ("COMMAND_LONG", "COMMAND_INT"):
@@ -97,13 +105,37 @@ class Vehicle:
         self._out += self.transfer.tick(self.link_s)
         return self._take()
 
+    def power_cycle(self, off_s: float) -> None:
+        """The autopilot's power fails for so long and comes back, in the air: it stays up and takes its
+        mission up again, as after a watchdog's restart. Clock, numbers of photos and streams begin anew, and
+        commands of the mission that were run are not run again."""
+        self.options = replace(self.options, boot_utc_s=self.options.boot_utc_s + self.boot_s + off_s)
+        self.boot_s = -off_s
+        self.camera.switched_off()
+        self._confirm.clear()
+        self._out.clear()
+        self.telemetry.switched_off(self.options)
+        self.pilot.switched_off()
+
     def _tick(self, dt_s: float) -> None:
         self.boot_s += dt_s
-        self.pilot.step(dt_s)
+        if self.pilot.flying:
+            self._air_s += dt_s
+        if self.boot_s >= 0:
+            self.pilot.step(dt_s)
         if self.pilot.armed:
             self.body.step(dt_s)
-        self._tell(self.camera.step(self.body, self.boot_s))
+        self.receiver.step(dt_s)
+        self.body.error_m = self.receiver.bias_m
         self._drain(dt_s)
+        if self.boot_s < 0:
+            return
+        if self._power_cycles_s and self._air_s >= self._power_cycles_s[0]:
+            del self._power_cycles_s[0]
+            self.power_cycle(self._off_s)
+            return
+        if self.camera.due(self.body):
+            self._shoot()
         for text in self.pilot.texts:
             self._out.append(self.telemetry.text(text, 3))
         for item in self.pilot.reached:
@@ -117,7 +149,8 @@ class Vehicle:
         self._out += self.telemetry.due(self.boot_s)
 
     def _shoot(self) -> None:
-        self._tell(self.camera.trigger(self.body, self.boot_s))
+        utc_s = self.options.boot_utc_s + self.boot_s
+        self._tell(self.camera.trigger(self.body, self.boot_s, utc_s, self.receiver))
 
     def _tell(self, photo: PhotoTaken | None) -> None:
         if photo is None:
