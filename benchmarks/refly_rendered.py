@@ -14,7 +14,6 @@ import io
 import json
 import sys
 import tempfile
-import time
 from collections.abc import Sequence
 from dataclasses import asdict, dataclass, replace
 from datetime import timedelta
@@ -56,7 +55,7 @@ once.
 class Row:
     """One flight; figures of the pass are None where there was none. Sigmas, f and dome in percent.
 
-    ``stands_in_the_way``: why there was no pass, or what the check flags after it.
+    ``stands_in_the_way``: why there was no pass, or what is flagged and open after it.
     """
 
     number: int
@@ -78,7 +77,6 @@ class Row:
     dome_predicted: float | None
     dome_after: float | None
     stands_in_the_way: str
-    cpu_s: float
 
 
 def flight_of(stations: Sequence[dict[str, Any]], options: SurveyOptions) -> Flight:
@@ -122,7 +120,6 @@ def _said(home: Path, *words: str) -> tuple[int, dict[str, Any]]:
 def score(number: int) -> Row:
     """Render, check, plan, fly and check again."""
     recipe, lens, options = options_of(number)
-    cpu = time.process_time()
     with tempfile.TemporaryDirectory() as folder:
         home = Path(folder)
         old, new = home / "old", home / "new"
@@ -143,7 +140,7 @@ def score(number: int) -> Row:
             write_survey(recipe, new, number, size=_size(lens), options=later, workers=1, instead=flight)
             flown = len(stations)
             _, both = _said(home, "check", str(old), str(new), *held, "--out", str(home / "both"))
-    return _row(number, truth, first, wanted, both, flown, time.process_time() - cpu)
+    return _row(number, truth, first, wanted, both, flown)
 
 
 def _row(
@@ -153,10 +150,13 @@ def _row(
     wanted: dict[str, Any],
     both: dict[str, Any] | None,
     flown: int,
-    cpu_s: float,
 ) -> Row:
     recipe, lens, options = options_of(number)
-    flags = [] if both is None else [f["rule"] for f in both["findings"] if f["state"] == "flag"]
+    against = (
+        []
+        if both is None
+        else [f"{f['rule']} ({f['state']})" for f in both["findings"] if f["state"] != "pass"]
+    )
     after = wanted["after"] or {}
     return Row(
         number=number,
@@ -177,8 +177,7 @@ def _row(
         dome_before=wanted["before"]["dome_percent"],
         dome_predicted=after.get("dome_percent"),
         dome_after=None if both is None else _dome_percent(both),
-        stands_in_the_way=wanted["reason"] if both is None else ", ".join(flags),
-        cpu_s=cpu_s,
+        stands_in_the_way=wanted["reason"] if both is None else ", ".join(against),
     )
 
 
@@ -221,7 +220,7 @@ def report(rows: Sequence[Row]) -> str:
     lines += [
         "",
         "| no. | survey | camera | relief m | before | sigma f % | pass: photos (taken), s "
-        "| sigma f %: predicted, after | f off % | dome % H: before, predicted, after | verdict | flagged |",
+        "| sigma f %: predicted, after | f off % | dome % H before, predicted, after | verdict | open |",
         "|---|---|---|---|---|---|---|---|---|---|---|---|",
     ]
     lines += [
