@@ -15,7 +15,7 @@ from pathlib import Path
 from typing import Annotated, Final, Literal
 
 import numpy as np
-from pydantic import BaseModel, ConfigDict, Field, FiniteFloat
+from pydantic import BaseModel, ConfigDict, Field, FiniteFloat, NaiveDatetime
 
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.errors import FormatError, InputError
@@ -28,7 +28,7 @@ from calib.network_design import CameraNetwork, Known
 from calib.reference import Reference
 from calib.report_json import FindingModel, finding_models, findings_of
 from calib.result import CheckResult
-from calib.wording import printable
+from calib.wording import path_text, printable
 
 NETWORK_FILE = "network.npz"
 SCHEMA: Final = "fieldcal.network/1"
@@ -59,6 +59,16 @@ _DAMAGE = (ValueError, KeyError, EOFError, OSError, RuntimeError, zipfile.BadZip
 _MAY_BE_INFINITE = ("centre_sigma_m", "rotation_sigma_rad", "lens_sigma")
 
 
+class SurveyPhoto(BaseModel):
+    """A photo of the block, to be known again: where it was, its ``fingerprint`` ("": none), its time."""
+
+    model_config = ConfigDict(extra="forbid", frozen=True)
+
+    path: str
+    fingerprint: str
+    time: NaiveDatetime | None
+
+
 @dataclass(frozen=True)
 class FlownCheck:
     """What a check found out, as far as more photos can be planned from it.
@@ -66,7 +76,7 @@ class FlownCheck:
     ``brown``, ``brown_covariance`` (11, 11): the calibration with its honest covariance.
     ``origin_wgs84``: latitude, longitude, altitude of the network's frame (x east, y north, z up);
     None where no believed geotags place it. ``launch_up_m``: height of the launch point in it, where the
-    photos tell. ``photos``: their names.
+    photos tell. ``photos``: their names. ``files``: the same, to be known again (checks of before have none).
     """
 
     flown: FlownNetwork
@@ -87,6 +97,7 @@ class FlownCheck:
     reference_covariance: FloatArray | None = None
     #: (24,) its residual field: a weak flight shows less of the lens's pattern than there is.
     reference_field_px: FloatArray | None = None
+    files: tuple[SurveyPhoto, ...] = ()
 
     @property
     def sigma_f_percent(self) -> float:
@@ -128,6 +139,8 @@ class _About(_Part):
     geotag_fault: str | None
     #: Networks written before there was one have none.
     shutter_sigma_m: Positive | None = None
+    #: Networks written before passes were recognised have none.
+    files: tuple[SurveyPhoto, ...] = ()
 
 
 def flown_check(result: CheckResult) -> FlownCheck | None:
@@ -157,6 +170,10 @@ def flown_check(result: CheckResult) -> FlownCheck | None:
         photos=tuple(photo.path.name for photo in solution.photos),
         geotag_fault=georeference.fault,
         **_deciding(result.reference),
+        files=tuple(
+            SurveyPhoto(path=path_text(photo.path.absolute()), fingerprint=photo.fingerprint, time=photo.time)
+            for photo in solution.photos
+        ),
     )
 
 
@@ -192,6 +209,7 @@ def network_bytes(check: FlownCheck) -> bytes:
         photos=tuple(printable(name) for name in check.photos),
         geotag_fault=None if check.geotag_fault is None else printable(check.geotag_fault),
         shutter_sigma_m=known.shutter_sigma_m,
+        files=check.files,
     )
     text = about.model_dump_json(by_alias=True)
     optional = {name: array for name in _OPTIONAL if (array := getattr(check, name)) is not None}
@@ -305,4 +323,5 @@ def _made(arrays: dict[str, FloatArray], about: _About) -> FlownCheck:
         photos=about.photos,
         geotag_fault=about.geotag_fault,
         **{name: a.get(name) for name in _OPTIONAL},
+        files=about.files,
     )

@@ -6,6 +6,7 @@ import math
 from importlib import metadata
 from pathlib import Path
 
+from calib.extra_pass import extra_pass_words
 from calib.findings import Finding, State, Verdict
 from calib.html_page import CROSS, TICK, drawn_sign, facts_section, html_page, sentence
 from calib.photos.photo import Processing
@@ -56,6 +57,7 @@ def render_report(result: CheckResult) -> str:
             _verdict(result),
             "<main>",
             _facts(result),
+            _extra_pass(result),
             _what_to_fly(result),
             findings_section(result.findings),
             _left_out(result),
@@ -91,6 +93,15 @@ def _facts(result: CheckResult) -> str:
     if metric and math.isfinite(network.gsd_m):
         parts.append(f"{100 * network.gsd_m:.1f} cm per pixel")
     return f'<p class="facts">{sentence(" · ".join(parts))}</p>'
+
+
+def _extra_pass(result: CheckResult) -> str:
+    words = extra_pass_words(result)
+    if words is None:
+        return ""
+    return (
+        f'<section aria-labelledby="pass"><h2 id="pass">The extra pass</h2><p>{sentence(words)}</p></section>'
+    )
 
 
 def _what_to_fly(result: CheckResult) -> str:

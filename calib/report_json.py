@@ -13,6 +13,7 @@ from typing import Any, Literal
 
 from pydantic import BaseModel, ConfigDict, Field
 
+from calib.extra_pass import Knowledge, extra_pass_words, knowledge_of, not_joined
 from calib.findings import Finding, State
 from calib.photos.photo import CameraIdentity
 from calib.propagation import correlations, parameter_sigmas
@@ -133,6 +134,28 @@ class DomeModel(JsonModel):
     sigma_m: float | None
 
 
+class KnowledgeModel(JsonModel):
+    """Standard deviations: of f in percent, of the dome in percent of the flying height."""
+
+    sigma_f_percent: float | None
+    dome_percent: float | None
+
+
+class ExtraPassModel(JsonModel):
+    """The recommended pass whose photos are among those checked.
+
+    ``photos``: that of each station in its order, null where there is none; ``not_used`` of them are not in
+    the block.
+    """
+
+    photos: list[str | None]
+    not_used: list[str]
+    before: KnowledgeModel
+    predicted: KnowledgeModel
+    now: KnowledgeModel
+    text: str
+
+
 class TimingModel(JsonModel):
     wall_s: float | None
     cpu_s: float | None
@@ -156,6 +179,7 @@ class CheckReport(JsonModel):
     network: NetworkModel
     georeference: GeoreferenceModel
     dome: DomeModel
+    extra_pass: ExtraPassModel | None
     timing: TimingModel
     exports: dict[str, str]
 
@@ -202,6 +226,7 @@ def check_report(result: CheckResult) -> CheckReport:
             amplitude_percent=finite(result.dome.amplitude_percent),
             sigma_m=finite(result.dome.sigma_m) if metric else None,
         ),
+        extra_pass=_extra_pass(result),
         timing=timing_model(result.timing),
         exports=dict(result.exports),
     )
@@ -270,6 +295,26 @@ def calibration_model(estimate: Estimate) -> CalibrationModel:
     keys, matrix = correlations(estimate.covariance)
     table = {a: {b: float(matrix[i, j]) for j, b in enumerate(keys)} for i, a in enumerate(keys)}
     return CalibrationModel(**values, sigma=SigmaModel(**sigma), correlation=table)
+
+
+def _extra_pass(result: CheckResult) -> ExtraPassModel | None:
+    extra, text = result.extra_pass, extra_pass_words(result)
+    if extra is None or text is None:
+        return None
+    return ExtraPassModel(
+        photos=[None if path is None else path_text(path) for path in extra.photos],
+        not_used=[path_text(path) for path in not_joined(result)],
+        before=_knowledge(extra.before),
+        predicted=_knowledge(extra.predicted),
+        now=_knowledge(knowledge_of(result)),
+        text=text,
+    )
+
+
+def _knowledge(known: Knowledge) -> KnowledgeModel:
+    return KnowledgeModel(
+        sigma_f_percent=finite(known.sigma_f_percent), dome_percent=finite(known.dome_percent)
+    )
 
 
 def _reference(reference: Reference, note: str) -> ReferenceModel:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, field
 
+from calib.extra_pass import ExtraPass
 from calib.findings import Finding, Verdict
 from calib.flown import FlownNetwork
 from calib.photos.photo import CameraIdentity, LeftOut
@@ -25,7 +26,7 @@ class CheckResult:
     ``reference_note`` says why a candidate reference was not used, or how it was converted.
     ``line`` is the equifinal line that the survey was held against (None: no reference).
     ``what_to_fly`` is one paragraph for the pilot (None for TRUST). ``flown``: what more photos are
-    planned from.
+    planned from. ``extra_pass``: the one that was found among the photos.
     """
 
     verdict: Verdict
@@ -44,3 +45,4 @@ class CheckResult:
     timing: Timing
     exports: dict[str, str] = field(default_factory=dict)
     flown: FlownNetwork | None = None
+    extra_pass: ExtraPass | None = None

@@ -23,6 +23,7 @@ from calib.result import CheckResult
 from calib.wording import VERDICT_WORDS, printable
 from daemon.advice import what_to_fly
 from daemon.output import console, write_stdout
+from daemon.pass_book import PassFinder
 from daemon.progress import progress_line
 from daemon.terminal import print_summary
 
@@ -40,6 +41,12 @@ def check(
         str | None,
         typer.Option(
             metavar="NAME|FILE", help="Hold the lens at this reference: nothing is self-calibrated."
+        ),
+    ] = None,
+    with_folder: Annotated[
+        Path | None,
+        typer.Option(
+            "--with", metavar="CHECK_OUTPUT", help="These photos are the extra pass for this check's survey."
         ),
     ] = None,
     save_reference_as: Annotated[
@@ -66,22 +73,24 @@ def check(
         check_saving(save_reference_as)
     if reference is not None:
         load_reference(reference)
+    passes = PassFinder(with_folder, out)
+    passes.check_folder()
     hidden = quiet or sys.stderr is None or not sys.stderr.isatty()
     with progress_line(hidden, "starting") as report:
-        found = read_set(photos, report)
+        found = read_set(photos, report, passes.complete)
         require_block(found)
         with output_folder(out):
             # The file may be meant for the output folder, which is there only from here on.
             if json_to is not None and json_to != "-":
                 check_file_writable(Path(json_to))
             result = check_photos(found, Options(reference, fixed is not None), report)
-            result = replace(result, what_to_fly=what_to_fly(result))
+            result = replace(result, what_to_fly=what_to_fly(result), extra_pass=passes.extra_pass)
             result = replace(result, exports=write_outputs(result, out))
     if json_to == "-":
         write_stdout(report_json(result))
     elif json_to is not None:
         write_text_atomic(Path(json_to), report_json(result))
-    _show(result, found.notes, out, quiet, to_stderr=json_to == "-")
+    _show(result, (*found.notes, *passes.notes), out, quiet, to_stderr=json_to == "-")
     if save_reference_as is not None:
         print(printable(_save(result, save_reference_as)), file=sys.stderr)
     return result.verdict.exit_code

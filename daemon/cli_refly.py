@@ -12,6 +12,7 @@ from calib.files import check_file_writable
 from calib.findings import Verdict
 from calib.flown_file import NETWORK_FILE, FlownCheck, read_network
 from daemon.output import JsonOption, console, write_json
+from daemon.pass_book import remember
 from daemon.refly_output import no_pass_json, print_refly, refly_json
 from daemon.session.library import find
 from mission.encode import SUFFIXES, write
@@ -94,11 +95,17 @@ def refly_command(
         },
     )
     keys = options if site is None else overlaid(read_site_file(site), options)
-    known = read_network(_network_of(check))
+    network = _network_of(check)
+    known = read_network(network)
     if known.origin_wgs84 is None:
         return _nothing(known, json_target)
     return _deliver(
-        refly(flown_site(known, keys, keys.name or "refly")), outputs, json_target, autopilot, force
+        refly(flown_site(known, keys, keys.name or "refly")),
+        network.parent,
+        outputs,
+        json_target,
+        autopilot,
+        force,
     )
 
 
@@ -132,6 +139,7 @@ def _nothing(known: FlownCheck, json_target: str | None) -> int:
 
 def _deliver(
     found: Refly,
+    folder: Path,
     outputs: list[Path],
     json_target: str | None,
     autopilot: Literal["ardupilot", "px4"],
@@ -149,6 +157,9 @@ def _deliver(
             fence = None if found.flown.site.fence.is_empty else found.flown.site.fence
             losses += write(found.plan, path, fence=fence, flavour=autopilot)
         written.append(path)
+    # What was only looked at is not flown.
+    if (written or json_target is not None) and (fault := remember(found, folder)) is not None:
+        losses.append(fault)
     if json_target is not None:
         write_json(refly_json(found), json_target)
     if json_target != "-":

@@ -27,6 +27,8 @@ from daemon.capture.matching import Arrived, Matching, completed
 from daemon.capture.trigger_book import TriggerBook
 from daemon.flight_messages import capture_message, paired_words, verdict_message
 from daemon.live.schemas import Link, Log, Message, Progress, Status
+from daemon.pass_book import PassFinder
+from daemon.refly_offer import FOLDER
 from daemon.session.rows import ClockName, Event, PhotoFile, SolutionRecord, Stamp, VerdictRecord
 from daemon.session.store import Session
 
@@ -191,7 +193,11 @@ class Flight:
         self._listen(at_once=True)
         if self._bringer is not None and self._bringer.missing:
             self._say(f"{self._bringer.missing} photos that the camera offers were not fetched.", "warning")
-        found = read_set(self._files(), self._reading, self._completed)
+        # Photos of an extra pass are told apart; nothing but this flight's own photos is solved.
+        passes = PassFinder(None, self._session.folder / FOLDER, alone=True)
+        found = read_set(
+            self._files(), self._reading, lambda photos: passes.complete(self._completed(photos))
+        )
         require_block(found)
         self._missing(found.used, found.left_out)
         seq = self._session.counts().photos
@@ -216,7 +222,7 @@ class Flight:
         # Of the final solution alone; what was done before is not counted.
         timing = Timing(wall_s, finished.cpu_s, len(found.used) / max(wall_s, 1e-9))
         result = conclude(finished.outcome, found.left_out, reference, note, timing)
-        result = replace(result, what_to_fly=what_to_fly(result))
+        result = replace(result, what_to_fly=what_to_fly(result), extra_pass=passes.extra_pass)
         self._record(result, seq, final=True)
         return result
 

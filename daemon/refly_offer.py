@@ -16,6 +16,7 @@ from typing import TYPE_CHECKING
 from calib.errors import FieldcalError, InputError
 from calib.files import output_errors
 from calib.flown_file import NETWORK_FILE, read_network
+from daemon.pass_book import remember
 from daemon.progress import Report, late_line
 from daemon.session.rows import ClockName, Event, Plan, Stamp
 from daemon.session.store import Session
@@ -97,7 +98,9 @@ def _find_pass(
     _write(found, folder, flavour)
     mission = folder / MISSION
     session.add_plan(Plan(f"{FOLDER}/{MISSION}", mission.read_bytes()))
-    return Pass(f"{found.reason} It is in {folder}.", len(found.found.stations), mission)
+    fault = remember(found, folder)
+    text = f"{found.reason} It is in {folder}." + ("" if fault is None else f" {fault}")
+    return Pass(text, len(found.found.stations), mission)
 
 
 def _write(found: Refly, folder: Path, flavour: Flavour) -> None:

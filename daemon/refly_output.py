@@ -137,4 +137,6 @@ def print_refly(pass_: Refly, out: Console, written: Sequence[Path], losses: Seq
     for path in written:
         out.print(f"Wrote {path} ({SUFFIXES.get(path.suffix.lower(), SHEET_WORDS)}).")
     if pass_.cures:
-        out.print("After the flight: fieldcal check OLD NEW, with the photos of both flights.")
+        out.print(
+            "After the flight: fieldcal check CARD. The photos of the pass are known again by themselves."
+        )

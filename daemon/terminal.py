@@ -10,6 +10,7 @@ from pathlib import Path
 from rich.console import Console
 from rich.text import Text
 
+from calib.extra_pass import extra_pass_words
 from calib.findings import Finding, State, Verdict
 from calib.result import CheckResult
 from calib.wording import (
@@ -67,6 +68,11 @@ def print_summary(
         say(line, "dim", "  ")
     console.print()
     print_findings(result.findings, console)
+    brought = extra_pass_words(result)
+    if brought is not None:
+        console.print()
+        console.print(Text("The extra pass", style="bold"))
+        say(brought, indent="  ")
     if result.what_to_fly is not None:
         console.print()
         console.print(Text("What to fly", style="bold"))

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from calib.findings import State, Verdict
 from calib.flown_file import FlownCheck
-from calib.limits import percent
+from calib.limits import FOCAL_LIMIT_PERCENT, percent
 from mission.plan import Station
 from mission.refly_search import CURED_DOME_PERCENT, Found
 from mission.timing import minutes
@@ -15,6 +15,8 @@ WALL = (
     "with --save-reference; then check the survey against that reference."
 )
 
+#: So far beyond the limit, in its own sigmas, another focal length is another focal length.
+DOUBTLESS_SIGMAS = 5.0
 #: Share of the limit from which what no lens model follows is what keeps a pass from curing.
 LENS_SHARE = 0.8
 
@@ -72,17 +74,34 @@ def reason(check: FlownCheck, found: Found, seconds: float) -> str:
     return f"{count}, {time_words(seconds)}: {described(found)}. {before_after(check, found)}"
 
 
+def contradicts(check: FlownCheck) -> bool:
+    """Whether f is not the reference's beyond any doubt, although it is known well enough to say so.
+
+    A weak flight's f may be off by several of its sigmas, and there photos help.
+    """
+    return any(
+        f.rule == "focal-drift"
+        and f.state is State.FLAG
+        and f.value is not None
+        and f.sigma is not None
+        and check.sigma_f_percent <= FOCAL_LIMIT_PERCENT
+        and abs(f.value) > FOCAL_LIMIT_PERCENT + DOUBTLESS_SIGMAS * f.sigma
+        for f in check.findings
+    )
+
+
 def why_no_pass(check: FlownCheck, strong: bool) -> str | None:
     """Why flying more does not help; None where it does.
 
-    ``strong``: the network itself already holds what the pass would be flown for.
+    ``strong``: the network itself already holds what the pass would be flown for. A reference that the photos
+    contradict beyond doubt is not cured by more of them either.
     """
     flagged = {f.rule: f.message for f in check.findings if f.state is State.FLAG}
     if check.verdict is Verdict.TRUST:
         return f"Nothing needs to be flown. {check.headline}"
     if "alignment" in flagged:
         return f"More photos do not help before the photos themselves are in order. {flagged['alignment']}"
-    if not strong:
+    if not strong and not contradicts(check):
         return None
     known = f"the photos already determine the focal length ({percent(check.sigma_f_percent)})"
     for rule in ("focal-drift", "equifinal-deviation", "equifinal-line", "predicted-dome"):

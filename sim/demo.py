@@ -110,6 +110,7 @@ class Demo:
         self.environment = {
             **os.environ,
             "FIELDCAL_SESSIONS": str(out / "sessions"),
+            "FIELDCAL_STORE": str(out / "store"),
             "PYTHONUNBUFFERED": "1",
         }
 

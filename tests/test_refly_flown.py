@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 from check_process import OPTIONS, check, findings, report_of, true_lens
-from refly_flights import flight_of
 
+from benchmarks.refly_rendered import flight_of
 from daemon import cli
 from mission.encode import read
 from sim.survey import write_survey
@@ -30,14 +30,17 @@ def flown(tmp_path_factory: pytest.TempPathFactory) -> dict[str, Any]:
     first = check(home, "old", "--reference", lens, "--out", "first", "--quiet", timeout_s=1200)
     files = [home / f"pass{suffix}" for suffix in (".plan", ".waypoints", ".kmz", ".csv", ".kml", ".html")]
     words = [word for path in files for word in ("--out", str(path))]
-    code = cli.run(["refly", str(home / "first"), *words, "--json", str(home / "pass.json")])
-    wanted = json.loads((home / "pass.json").read_text(encoding="utf-8"))
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("FIELDCAL_STORE", str(home / "store"))
+        code = cli.run(["refly", str(home / "first"), *words, "--json", str(home / "told.json")])
+    wanted = json.loads((home / "told.json").read_text(encoding="utf-8"))
     later = replace(
         FLOWN, start=FLOWN.start + timedelta(minutes=15), position_jitter_m=2.0, attitude_jitter_deg=2.0
     )
     flight = flight_of(wanted["stations"], later)
     write_survey("demo_nadir", home / "new", 3, size=SIZE, options=later, workers=1, instead=flight)
-    both = check(home, "old", "new", "--reference", lens, "--out", "both", "--quiet", timeout_s=1200)
+    # Only the new photos are given: the pass is known again, and the survey's are taken along.
+    both = check(home, "new", "--reference", lens, "--out", "both", timeout_s=1200)
     return {"home": home, "first": first, "code": code, "pass": wanted, "both": both, "files": files}
 
 
@@ -65,6 +68,21 @@ def test_every_file_is_written(flown: dict[str, Any]) -> None:
         assert path.stat().st_size > 200, path
     plan = read(Path(flown["files"][0]))
     assert len(plan.stations) == flown["pass"]["photos"]
+
+
+def test_its_photos_are_known_again(flown: dict[str, Any]) -> None:
+    report, count = report_of(flown["home"], "both"), flown["pass"]["photos"]
+    brought = report["extra_pass"]
+    assert [path is not None for path in brought["photos"]] == [True] * count
+    assert brought["not_used"] == []
+    assert brought["before"] == pytest.approx(flown["pass"]["before"])
+    assert brought["predicted"] == pytest.approx(flown["pass"]["after"])
+    assert brought["now"]["sigma_f_percent"] == pytest.approx(findings(report)["focal-sigma"]["value"])
+    assert report["alignment"]["photos"] == 12 + count
+    said = " ".join(flown["both"].out.split())
+    assert f"{count} of the {count} photos of the recommended pass were found" in said
+    assert "The 12 photos of the survey that the pass completes were taken along" in said
+    assert report_of(flown["home"], "first")["extra_pass"] is None
 
 
 def test_flown_as_recommended_it_is_trusted(flown: dict[str, Any]) -> None:

@@ -51,6 +51,7 @@ def other_flights(photos: list[Photo]) -> Step:
             else:
                 flight[id(photo)] = -1 - number
     _place_unlocated(photos, flight)
+    _join(photos, flight)
     sizes = Counter(flight[id(p)] for p in photos if id(p) in flight)
     if len(sizes) < 2:
         return photos, [], []
@@ -80,6 +81,14 @@ def other_flights(photos: list[Photo]) -> Step:
         f"{mine[0].path.name} to {mine[-1].path.name}). To check another, give its photos alone."
     )
     return used, out, [note]
+
+
+def _join(photos: Sequence[Photo], flight: dict[int, int]) -> None:
+    """Make one flight of those that hold photos known to belong together."""
+    parts = {flight[id(p)] for p in photos if p.joined and id(p) in flight}
+    for photo, number in list(flight.items()):
+        if number in parts:
+            flight[photo] = min(parts)
 
 
 def _jumped(others: Sequence[Photo], mine: Sequence[Photo]) -> set[int]:

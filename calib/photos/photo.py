@@ -114,6 +114,8 @@ class Photo:
     fingerprint: str = ""
     #: Raw counts of a thermal camera (None: an ordinary picture).
     radiometric: Radiometric | None = None
+    #: Known to belong to one survey with the others that are so marked, whatever the pause between them.
+    joined: bool = False
 
 
 @dataclass(frozen=True)
