@@ -30,7 +30,7 @@ BUILT_S = 1_760_000_000.0
 
 ARDUPILOT_PARAMETERS = (
     *("CAM1_TYPE", "CAM1_INTRVAL_MIN", "CAM1_FEEDBAK_PIN", "MNT1_TYPE", "MNT1_PITCH_MIN", "FENCE_ENABLE"),
-    "SYSID_ENFORCE",
+    *("SYSID_ENFORCE", "MAV_OPTIONS"),
 )
 PX4_PARAMETERS = ("TRIG_MODE", "TRIG_INTERFACE", "MNT_MODE_IN", "MNT_MODE_OUT", "GF_ACTION")
 
@@ -256,14 +256,13 @@ def _ardupilot(found: Mapping[str, float]) -> list[Check]:
         checks.append(
             Check(Level.GOOD, "gimbal", f"A gimbal is set up (MNT1_TYPE {mount:.0f}), down to -90.")
         )
-    if found.get("SYSID_ENFORCE"):
-        checks.append(
-            Check(
-                Level.BAD,
-                "rights",
-                "The vehicle obeys one ground station only (SYSID_ENFORCE is 1): it hears no other.",
-            )
-        )
+    # Of 4.6, and bit 0 of its heir in 4.7.
+    enforced = "SYSID_ENFORCE is 1" if found.get("SYSID_ENFORCE") else ""
+    if int(found.get("MAV_OPTIONS", 0.0)) & 1:
+        enforced = "MAV_OPTIONS has bit 0"
+    if enforced:
+        text = f"The vehicle obeys one ground station only ({enforced}): it hears no other."
+        checks.append(Check(Level.BAD, "rights", text))
     return checks
 
 

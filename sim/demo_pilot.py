@@ -10,9 +10,13 @@ from typing import Any
 from calib.errors import FieldcalError
 
 _mavutil: Any = importlib.import_module("pymavlink.mavutil")
-ARM, START = 400, 300
+SET_MODE, ARM, START = 176, 400, 300
 ACCEPTED = 0
 _GROUND_STATION = 255
+#: MAV_AUTOPILOT_ARDUPILOTMEGA, and Copter's LOITER: it does not arm in AUTO, where its last flight ended.
+_ARDUPILOT, _LOITER = 3, 5
+#: MAV_MODE_FLAG_CUSTOM_MODE_ENABLED.
+_CUSTOM = 1.0
 
 
 class PilotError(FieldcalError):
@@ -39,17 +43,23 @@ class Pilot:
         Raises:
             PilotError: nothing is heard, or a command is refused.
         """
-        if self._link.wait_heartbeat(timeout=timeout_s) is None:
+        beat = self._link.recv_match(
+            type="HEARTBEAT", condition="HEARTBEAT.autopilot != 8", blocking=True, timeout=timeout_s
+        )
+        if beat is None:
             raise PilotError("The pilot hears no vehicle on the forwarded link.")
-        for command, name, first in ((ARM, "arm", 1.0), (START, "start the mission", 0.0)):
-            result = self._command(command, first, timeout_s)
+        steps = [(ARM, "arm", (1.0, 0.0)), (START, "start the mission", (0.0, 0.0))]
+        if beat.autopilot == _ARDUPILOT:
+            steps.insert(0, (SET_MODE, "loiter", (_CUSTOM, float(_LOITER))))
+        for command, name, params in steps:
+            result = self._command(command, params, timeout_s)
             if result != ACCEPTED:
                 raise PilotError(f"The vehicle would not {name} (result {result}).")
 
-    def _command(self, command: int, first: float, timeout_s: float) -> int | None:
+    def _command(self, command: int, params: tuple[float, float], timeout_s: float) -> int | None:
         until = time.monotonic() + timeout_s
         while time.monotonic() < until:
-            self._link.mav.command_long_send(1, 1, command, 0, first, 0, 0, 0, 0, 0, 0)
+            self._link.mav.command_long_send(1, 1, command, 0, *params, 0, 0, 0, 0, 0)
             again = time.monotonic() + 2.0
             while time.monotonic() < again:
                 heard = self._link.recv_match(type="COMMAND_ACK", blocking=True, timeout=0.5)

@@ -4,13 +4,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Sequence
+from dataclasses import replace
 
 from hypothesis import strategies as st
 
 from calib.camera import BrownCamera
 from calib.frames import LocalFrame
 from mission import encode
-from mission.plan import Plan, Shot, Station, Vehicle, Waypoint
+from mission.plan import Plan, Shot, Station, Vehicle, Waypoint, line_photos_m, stations
 
 CAMERA = BrownCamera(4000, 3000, 3000.0, 2000.0, 1500.0)
 LAUNCH = LocalFrame(47.0, 8.5, 430.0)
@@ -89,6 +90,26 @@ def same_photos(
         assert distance_m(ours, theirs) <= place_m
         assert angle_deg(ours.yaw_deg, theirs.yaw_deg) <= yaw_deg + 1e-9
         assert abs(ours.pitch_deg - theirs.pitch_deg) <= pitch_deg + 1e-9
+
+
+def triggered(plan: Plan) -> tuple[Station, ...]:
+    """Photos of the plan where an autopilot takes them: by distance on a line, which is set so much longer
+    that none is due at the line's end, where the last is taken by command."""
+    found = list(stations(plan))
+    first = 0
+    for here, end in zip(plan.waypoints, [*plan.waypoints[1:], None], strict=True):
+        if here.shot is Shot.LINE and end is not None:
+            gaps = len(line_photos_m(here, end)) - 1
+            gap = math.dist(here.enu_m, end.enu_m) / gaps
+            longer = min(1.0, gap / 4) / gaps / gap if gap > 0 else 0.0
+            for k in range(1, gaps):
+                at = here.enu_m + (end.enu_m - here.enu_m) * k * (1 + longer) / gaps
+                east, north, up = (float(value) for value in at)
+                found[first + k] = replace(found[first + k], east_m=east, north_m=north, height_m=up)
+            first += gaps + 1
+        elif here.shot is Shot.STOP:
+            first += 1
+    return tuple(found)
 
 
 def distance_m(one: Station, other: Station) -> float:

@@ -17,9 +17,9 @@ from mavsdk.plugins.mission_raw import MissionItem  # noqa: E402
 
 from mission import encode  # noqa: E402
 from mission.encode import Flavour, Item  # noqa: E402
-from mission.plan import Plan, stations  # noqa: E402
+from mission.plan import Plan  # noqa: E402
 from sim.faults.ends import free_port  # noqa: E402
-from tests.mission_plans import line, orbit, plan_of, same_photos  # noqa: E402
+from tests.mission_plans import line, orbit, plan_of, same_photos, triggered  # noqa: E402
 from tests.mission_server import MissionServer  # noqa: E402
 
 PLAN = plan_of(*line(spacing=11.0), *orbit(12, radius=33.3), *line(height=72.345))
@@ -62,7 +62,7 @@ def test_a_plan_survives_the_vehicles_storage(flavour: Flavour, aim: encode.Aim)
     # ArduPilot cuts heights to the centimetre that single precision leaves.
     place_m = 0.02 if flavour == "ardupilot" else 0.01
     angle_deg = 0.5 if flavour == "ardupilot" or aim == "roi" else 1e-4
-    same_photos(stations(plan), photos, place_m, 0.05 if aim == "roi" else 1e-4, angle_deg)
+    same_photos(triggered(plan), photos, place_m, 0.05 if aim == "roi" else 1e-4, angle_deg)
 
 
 def test_the_difference_is_found_after_the_transfer() -> None:

@@ -144,6 +144,12 @@ def test_feedback_in_either_clock() -> None:
     assert (boot.utc_s, boot.vehicle_boot_s, boot.completed) == (None, 12.5, 7)
 
 
+def test_a_feedback_before_the_first_photo_is_no_photo() -> None:
+    """As ArduCopter 4.7 sends it when it is asked for the message before it has taken a photo."""
+    make = mavlink.MAVLink_camera_feedback_message
+    assert read(make(0, 0, 0, 0, 0, 0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0, 0)) is None
+
+
 def test_px4_trigger_and_captured() -> None:
     trigger = read(mavlink.MAVLink_camera_trigger_message(12_500_000, 4), PX4)
     assert trigger == ev.PhotoReport(ev.PhotoSource.TRIGGER, 1, 0, 4, 12.5, None)

@@ -16,6 +16,11 @@ import pytest
 pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
 
 from daemon.cli import run
+from daemon.doctor import vehicle
+from daemon.link.events import Autopilot, Heartbeat
+from daemon.link.live import LinkHealth
+from daemon.link.state import LinkState
+from daemon.link.streams import Streams
 from daemon.link.tlog import read_log
 from daemon.link.vehicle_mission import mission_differences
 from mission import encode
@@ -159,6 +164,16 @@ def test_doctor_finds_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixtur
         assert words in out
     assert run(["doctor", "--link", f"udp://127.0.0.1:{port}", "--wait", "1"]) == 2
     assert "No vehicle was heard" in " ".join(capsys.readouterr().out.split())
+
+
+@pytest.mark.parametrize("found", [{"SYSID_ENFORCE": 1.0}, {"MAV_OPTIONS": 1.0}, {"MAV_OPTIONS": 2.0}])
+def test_doctor_knows_the_one_station_of_either_version(found: dict[str, float]) -> None:
+    """ArduPilot 4.7 has no SYSID_ENFORCE any more: it is a bit of MAV_OPTIONS (measured)."""
+    beat = Heartbeat(Autopilot.ARDUPILOT, False, "stabilize", False, False)
+    state = LinkState(latest={Heartbeat: beat}, parameters=found)
+    said = [check for check in vehicle(state, LinkHealth(), Streams(), 0.0) if check.topic == "rights"]
+    assert len(said) == (found != {"MAV_OPTIONS": 2.0})
+    assert all(next(iter(found)) in check.sentence for check in said)
 
 
 def test_sim_vehicle(tmp_path: Path) -> None:

@@ -157,11 +157,22 @@ def test_mission_start() -> None:
     assert Ground("px4").command(300) == 2
 
 
+def test_copter_does_not_arm_where_its_last_mission_ended() -> None:
+    copter = Ground("ardupilot")
+    assert copter.command(176, 1, 3) == 0
+    assert copter.command(400, 1) == 4
+    assert any(m.get_type() == "STATUSTEXT" and "AUTO mode not armable" in m.text for m in copter.pass_s(1))
+    assert copter.command(176, 1, 5) == 0
+    assert copter.command(400, 1) == 0
+
+
 def test_no_streams_until_asked_and_feedback_repeats_then() -> None:
     ground = Ground("ardupilot")
     assert set(names(ground.pass_s(5))) == {"HEARTBEAT"}
     assert ground.command(511, 180, 200_000) == 0
-    assert "CAMERA_FEEDBACK" not in names(ground.pass_s(2))  # no photo yet
+    empty = [m for m in ground.pass_s(2) if m.get_type() == "CAMERA_FEEDBACK"]
+    assert len(empty) >= 10
+    assert {(m.img_idx, m.time_usec, m.lat, m.lng) for m in empty} == {(0, 0, 0, 0)}  # no photo yet
     assert [ground.command(203, 0, 0, 0, 0, 1) for _ in range(20)] == [0] * 20
     assert len(ground.vehicle.photos) == 1  # accepted does not mean a photo
     told = [m.img_idx for m in ground.pass_s(2) if m.get_type() == "CAMERA_FEEDBACK"]

@@ -122,8 +122,13 @@ def _camera_pose(m: Message, _: Context) -> ev.Event | None:
     return ev.CameraPose(m.integer("time_boot_ms") / 1e3, *place, m.integer("alt_camera") / 1e3, angles)
 
 
-def _feedback(m: Message, _: Context) -> ev.Event:
-    """ArduPilot. UTC, or with a feedback pin time since boot; only then ``completed_captures`` counts."""
+def _feedback(m: Message, _: Context) -> ev.Event | None:
+    """ArduPilot. UTC, or with a feedback pin time since boot; only then ``completed_captures`` counts.
+
+    Asked for before its first photo it sends one all of zeros, which is no photo (measured).
+    """
+    if m.integer("time_usec") == 0:
+        return None
     boot_s, utc_s = _either(m.integer("time_usec"))
     roll, pitch, yaw = (m.number(name) for name in ("roll", "pitch", "yaw"))
     angles = None

@@ -28,13 +28,13 @@ from mission.encode.items import (
     degrees_e7,
     do,
     every,
-    line_gap_m,
     line_goes_on,
     no_more_photos,
     photo,
     places,
     speed,
     takeoff_height_m,
+    trigger_gap_m,
     turn_deg,
     wait,
 )
@@ -79,7 +79,7 @@ def items(plan: Plan, aim: Aim = "angles") -> tuple[Item, ...]:
             if rois[index] is not None and (index + 1 == len(rois) or rois[index + 1] is None):
                 out.append(do(mav.DO_SET_ROI_NONE))
         if waypoint.shot is Shot.LINE:
-            gap = line_gap_m(waypoint, plan.waypoints[index + 1])
+            gap = trigger_gap_m(waypoint, plan.waypoints[index + 1])
             if goes_on:
                 out.append(_gimbal(waypoint))
             out += [every(gap), _yaw(waypoint)]

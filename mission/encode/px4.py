@@ -26,13 +26,13 @@ from mission.encode.items import (
     degrees_e7,
     do,
     every,
-    line_gap_m,
     line_goes_on,
     no_more_photos,
     photo,
     places,
     speed,
     takeoff_height_m,
+    trigger_gap_m,
     wait,
 )
 from mission.encode.roi import roi_items
@@ -79,7 +79,7 @@ def items(plan: Plan, aim: Aim = "angles") -> tuple[Item, ...]:
         if waypoint.shot is Shot.LINE:
             if line_goes_on(before, waypoint):
                 out.append(_gimbal(waypoint))
-            out.append(every(line_gap_m(waypoint, plan.waypoints[index + 1])))
+            out.append(every(trigger_gap_m(waypoint, plan.waypoints[index + 1])))
         before = waypoint
     if at and plan.return_height_m > at[-1].z + 0.5:
         out.append(replace(at[-1], param4=NAN, z=centimetres(plan.return_height_m)))

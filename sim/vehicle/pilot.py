@@ -232,6 +232,13 @@ class CopterPilot(Pilot):
     _do_index: int | None = None
     _yaw_fixed: bool = False
 
+    def arm(self, armed: bool) -> bool:
+        """Not in AUTO, in which a vehicle that has landed there still is."""
+        if armed and not self.armed and self.mode is Mode.MISSION:
+            self.texts.append("Arm: AUTO mode not armable")
+            return False
+        return super().arm(armed)
+
     def may_clear(self) -> bool:
         return not (self.armed and self.mode is Mode.MISSION)
 

@@ -254,9 +254,12 @@ class Telemetry:
         return mavlink.MAVLink_extended_sys_state_message(0, 2 if self.pilot.flying else 1)
 
     def _last_feedback(self, _: float) -> MavMessage | None:
-        """Asked for as a stream, the last photo's message comes again and again (ArduPilot)."""
-        if self.last_photo is None or self.options.flavour == "px4":
+        """Asked for as a stream, the last photo's message comes again and again (ArduPilot), and before the
+        first photo one without a time, a number and a place."""
+        if self.options.flavour == "px4":
             return None
+        if self.last_photo is None:
+            return mavlink.MAVLink_camera_feedback_message(*(0,) * 6, *(0.0,) * 6, 0, 0)
         return self.feedback(self.last_photo)
 
     def _version(self, _: float) -> MavMessage:

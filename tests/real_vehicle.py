@@ -1,0 +1,286 @@
+"""An autopilot's own simulator as a process, and its pilot, who does what fieldcal never does: arm, start."""
+
+from __future__ import annotations
+
+import importlib
+import os
+import random
+import signal
+import socket
+import subprocess
+import threading
+import time
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+from benchmarks.processes import session, wait_for
+from calib.frames import LocalFrame
+from mission.encode import Flavour, Item
+
+_mavutil: Any = importlib.import_module("pymavlink.mavutil")
+HOME = LocalFrame(47.0, 8.5, 430.0)
+SET_MODE, ARM, START, ASK_RATE = 176, 400, 300, 511
+#: Copter does not arm in AUTO, in which it still is where its last mission ended.
+LOITER = 5
+_GROUND_STATION = 255
+#: A vehicle whose sensors are calibrated, with a camera and a servo mount, which its simulator does not
+#: have by itself.
+ARDUCOPTER_PARAMETERS = """
+FRAME_CLASS 1
+BATT_MONITOR 4
+COMPASS_OFS_X 5
+COMPASS_OFS_Y 13
+COMPASS_OFS_Z -18
+COMPASS_OFS2_X 5
+COMPASS_OFS2_Y 13
+COMPASS_OFS2_Z -18
+COMPASS_OFS3_X 5
+COMPASS_OFS3_Y 13
+COMPASS_OFS3_Z -18
+INS_ACCOFFS_X 0.001
+INS_ACCOFFS_Y 0.001
+INS_ACCOFFS_Z 0.001
+INS_ACCSCAL_X 1.001
+INS_ACCSCAL_Y 1.001
+INS_ACCSCAL_Z 1.001
+INS_ACC2OFFS_X 0.001
+INS_ACC2OFFS_Y 0.001
+INS_ACC2OFFS_Z 0.001
+INS_ACC2SCAL_X 1.001
+INS_ACC2SCAL_Y 1.001
+INS_ACC2SCAL_Z 1.001
+CAM1_TYPE 1
+SERVO9_FUNCTION 10
+MNT1_TYPE 1
+MNT1_PITCH_MIN -90
+SERVO10_FUNCTION 8
+SERVO11_FUNCTION 7
+SERVO12_FUNCTION 6
+"""
+#: A camera and a gimbal that its own missions aim.
+PX4_PARAMETERS = {"TRIG_MODE": "4", "TRIG_INTERFACE": "3", "MNT_MODE_IN": "4", "MNT_MODE_OUT": "0"}
+#: Local ports of PX4's links, and where it sends before anybody has spoken, without the instance's number.
+_PX4_GROUND, _PX4_ONBOARD, _PX4_GIMBAL = 18570, 14580, 13030
+_PX4_ONBOARD_REMOTE, _PX4_GIMBAL_REMOTE = 14540, 13280
+
+
+@dataclass(frozen=True)
+class RealVehicle:
+    """``link`` and ``camera``: addresses for fieldcal and for the camera beside it."""
+
+    flavour: Flavour
+    link: str
+    camera: str
+    pilot: Pilot
+
+
+@contextmanager
+def arducopter(binary: str, folder: Path, speed_up: float) -> Iterator[RealVehicle]:
+    """ArduPilot's simulated quadcopter, ready to be armed, with a memory of its own in ``folder``."""
+    folder.mkdir()
+    (folder / "vehicle.parm").write_text(ARDUCOPTER_PARAMETERS.lstrip())
+    base = _free_ports(0, 2, 3)
+    others = _free_ports(0, 1, 2, 3)
+    words = [binary, "--model", "quad", "--wipe", "--speedup", f"{speed_up:g}"]
+    words += ["--home", f"{HOME.latitude_deg},{HOME.longitude_deg},{HOME.altitude_m},0"]
+    words += ["--defaults", "vehicle.parm", "--base-port", str(base), "--rc-in-port", str(others)]
+    words += ["--sim-port-in", str(others + 1), "--sim-port-out", str(others + 2)]
+    words += ["--irlock-port", str(others + 3)]
+    with _running(words, folder), Pilot(f"tcp:127.0.0.1:{base}") as pilot:
+        pilot.wait_until_ready()
+        link, camera = (f"tcp://127.0.0.1:{base + n}" for n in (2, 3))
+        yield RealVehicle("ardupilot", link, camera, pilot)
+
+
+@contextmanager
+def px4(binary: str, folder: Path, speed_up: float) -> Iterator[RealVehicle]:
+    """PX4 with its built-in simulated quadcopter; its start-up files lie in ``etc`` beside ``bin/px4``."""
+    folder.mkdir()
+    number = _free_instance()
+    words = [
+        binary,
+        "-d",
+        str(Path(binary).resolve().parent.parent / "etc"),
+        "-w",
+        str(folder),
+        "-i",
+        str(number),
+    ]
+    place = (HOME.latitude_deg, HOME.longitude_deg, HOME.altitude_m)
+    asked = {"PX4_SIM_MODEL": "sihsim_quadx", "PX4_SIM_SPEED_FACTOR": f"{speed_up:g}"}
+    asked |= {
+        f"PX4_HOME_{name}": f"{value}" for name, value in zip(("LAT", "LON", "ALT"), place, strict=True)
+    }
+    asked |= {f"PX4_PARAM_{name}": value for name, value in PX4_PARAMETERS.items()}
+    with (
+        _running(words, folder, asked),
+        Pilot(f"udpout:127.0.0.1:{_PX4_GIMBAL + number}", system=number + 1) as pilot,
+    ):
+        pilot.wait_until_ready()
+        link, camera = (f"udpout://127.0.0.1:{port + number}" for port in (_PX4_ONBOARD, _PX4_GROUND))
+        yield RealVehicle("px4", link, camera, pilot)
+
+
+def _free_instance() -> int:
+    """PX4 counts its ports on by its instance's number, and has as many below 10 as it says."""
+    for number in range(1, 10):
+        try:
+            for port in (_PX4_GROUND, _PX4_ONBOARD, _PX4_GIMBAL, _PX4_GIMBAL_REMOTE, _PX4_ONBOARD_REMOTE):
+                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+                    one.bind(("127.0.0.1", port + number))
+        except OSError:
+            continue
+        return number
+    raise AssertionError("All of PX4's ports are in use.")
+
+
+@contextmanager
+def _running(words: list[str], folder: Path, asked: dict[str, str] | None = None) -> Iterator[None]:
+    with (folder / "vehicle.log").open("wb") as log:
+        process = subprocess.Popen(
+            words,
+            cwd=folder,
+            env={**os.environ, **(asked or {})},
+            stdin=subprocess.DEVNULL,
+            stdout=log,
+            stderr=subprocess.STDOUT,
+            start_new_session=True,
+        )
+        try:
+            yield
+        finally:
+            for pid in session(process.pid):
+                os.kill(pid, signal.SIGKILL)
+            process.wait()
+
+
+def _free_ports(*offsets: int) -> int:
+    """The lowest of some ports that nobody uses, for TCP and UDP."""
+    while True:
+        base = random.randrange(20_000, 30_000)
+        try:
+            for offset in offsets:
+                for kind in (socket.SOCK_STREAM, socket.SOCK_DGRAM):
+                    with socket.socket(socket.AF_INET, kind) as one:
+                        one.bind(("127.0.0.1", base + offset))
+        except OSError:
+            continue
+        return base
+
+
+@dataclass
+class Pilot:
+    """A ground station in a few lines. ``newest``: last message of each kind; ``photos``: numbers told of."""
+
+    address: str
+    system: int = 1
+    newest: dict[str, Any] = field(default_factory=dict)
+    photos: list[int] = field(default_factory=list)
+    said: list[str] = field(default_factory=list)
+
+    def __enter__(self) -> Pilot:
+        self._link = _mavutil.mavlink_connection(self.address, source_system=_GROUND_STATION, retries=60)
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._listen, name="pilot", daemon=True)
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join(5)
+        self._link.close()
+
+    def _listen(self) -> None:
+        beat_s = 0.0
+        while not self._over.is_set():
+            if time.monotonic() - beat_s > 1.0:
+                beat_s = time.monotonic()
+                self._link.mav.heartbeat_send(6, 8, 0, 0, 0)  # a ground station
+            heard = self._link.recv_match(blocking=True, timeout=0.5)
+            if heard is None or heard.get_srcComponent() != 1:
+                continue
+            kind = heard.get_type()
+            if kind == "CAMERA_FEEDBACK" and heard.img_idx not in self.photos:
+                self.photos.append(heard.img_idx)
+            elif kind == "CAMERA_TRIGGER" and heard.seq not in self.photos:
+                self.photos.append(heard.seq)
+            elif kind == "STATUSTEXT":
+                self.said.append(heard.text)
+            self.newest[kind] = heard
+
+    @property
+    def armed(self) -> bool:
+        return bool(self.newest["HEARTBEAT"].base_mode & 128)
+
+    def wait_until_ready(self, timeout_s: float = 180.0) -> None:
+        """The estimator knows where the vehicle is, and all checks before arming are passed."""
+        wait_for(lambda: "HEARTBEAT" in self.newest, timeout_s)
+        for message in (1, 193, 230, 242):  # SYS_STATUS, EKF_STATUS_REPORT, ESTIMATOR_STATUS, HOME_POSITION
+            self.command(ASK_RATE, message, 1e6)
+        wait_for(self._ready, timeout_s)
+
+    def _ready(self) -> bool:
+        estimator = self.newest.get("EKF_STATUS_REPORT") or self.newest.get("ESTIMATOR_STATUS")
+        status = self.newest.get("SYS_STATUS")
+        if estimator is None or status is None or "HOME_POSITION" not in self.newest:
+            return False
+        places = 1 << 4 | 1 << 9  # absolute position, known and predicted
+        return estimator.flags & places == places and bool(status.onboard_control_sensors_health & 1 << 28)
+
+    def take_off(self) -> None:
+        """Arm and start the mission."""
+        if self.newest["HEARTBEAT"].autopilot == 3:  # ArduPilot
+            assert self.command(SET_MODE, 1, LOITER) == 0, self.said[-5:]
+        assert self.command(ARM, 1) == 0, self.said[-5:]
+        assert self.command(START) == 0, self.said[-5:]
+
+    def command(self, number: int, *params: float, timeout_s: float = 30.0) -> int:
+        """MAV_RESULT."""
+        self.newest.pop("COMMAND_ACK", None)
+        given = [*params, *[0.0] * 7][:7]
+        end = time.monotonic() + timeout_s
+        while time.monotonic() < end:
+            self._link.mav.command_long_send(self.system, 1, number, 0, *given)
+            answer = self._answer("COMMAND_ACK", lambda heard: heard.command == number)
+            if answer is not None:
+                return int(answer.result)
+        raise AssertionError(f"The vehicle does not answer command {number}.")
+
+    def holds(self) -> list[Item]:
+        """The mission on board, as this program reads it."""
+        mav = self._link.mav
+        count = self._asked(
+            lambda: mav.mission_request_list_send(self.system, 1, 0), "MISSION_COUNT", lambda _: True
+        )
+        found = []
+        for number in range(count.count):
+            one = self._asked(
+                lambda n=number: mav.mission_request_int_send(self.system, 1, n, 0),  # type: ignore[misc]
+                "MISSION_ITEM_INT",
+                lambda heard, n=number: heard.seq == n,  # type: ignore[misc]
+            )
+            params = (one.param1, one.param2, one.param3, one.param4)
+            found.append(Item(one.command, one.frame, *params, one.x, one.y, one.z, bool(one.autocontinue)))
+        mav.mission_ack_send(self.system, 1, 0, 0)
+        return found
+
+    def _asked(self, ask: Callable[[], None], kind: str, fits: Callable[[Any], bool]) -> Any:
+        for _ in range(20):
+            self.newest.pop(kind, None)
+            ask()
+            answer = self._answer(kind, fits)
+            if answer is not None:
+                return answer
+        raise AssertionError(f"The vehicle does not answer with {kind}.")
+
+    def _answer(self, kind: str, fits: Callable[[Any], bool], patience_s: float = 2.0) -> Any | None:
+        end = time.monotonic() + patience_s
+        while time.monotonic() < end:
+            heard = self.newest.get(kind)
+            if heard is not None and fits(heard):
+                return heard
+            time.sleep(0.01)
+        return None

@@ -1,0 +1,171 @@
+"""The whole loop beside an autopilot's own simulator: upload, photos, REFLY, the extra pass, TRUST.
+
+``FIELDCAL_ARDUCOPTER`` names ArduPilot's simulator (``arducopter``), ``FIELDCAL_PX4`` that of PX4
+(``bin/px4``); skipped without.
+"""
+
+from __future__ import annotations
+
+import json
+import os
+import subprocess
+import threading
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+
+import pytest
+
+pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
+
+from benchmarks.processes import wait_for
+from calib.reference_file import write_reference_file
+from daemon.mission_file import load
+from daemon.session.reader import SessionReader
+from mission import encode
+from mission.encode import compare
+from sim.demo import CAMERA, FLY_IT, LENS, reference_of
+from sim.truth import TRUTH_FILE, read_truth
+from tests.real_vehicle import HOME, RealVehicle, arducopter, px4
+from tests.test_run_cli import fieldcal, the_session, working
+from tests.test_sim_camera import wait_until_ready
+
+SIMULATORS = {"ardupilot": ("FIELDCAL_ARDUCOPTER", arducopter), "px4": ("FIELDCAL_PX4", px4)}
+SIZE = (640, 480)
+SPEED_UP = 4.0
+#: A flight takes two minutes of the vehicle's time, and twice that on a machine that is busy.
+FLIGHT_S = 600.0
+#: DO_SET_ROI_SYSID: neither autopilot takes it in a mission.
+REFUSED = 198
+
+
+@pytest.fixture(params=encode.FLAVOURS)
+def vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[RealVehicle]:
+    name, simulator = SIMULATORS[request.param]
+    binary = os.environ.get(name)
+    if not binary:
+        pytest.skip(f"{name} is not set: no simulator of that autopilot here")
+    with simulator(binary, tmp_path / "vehicle", SPEED_UP) as found:
+        yield found
+
+
+def planned(home: Path, vehicle: RealVehicle) -> Path:
+    """A dozen photos straight down from 60 m, inside a fence."""
+    here, mission = f"{HOME.latitude_deg},{HOME.longitude_deg}", home / "nadir.plan"
+    words = ["--area", f"{here},10", "--camera", CAMERA, "--height", "60", "--launch", here]
+    words += ["--forward-overlap", "75", "--side-overlap", "60", "--camera-interval", "1"]
+    words += ["--keep-in", f"{here},300"]
+    done = fieldcal(home, "plan", "nadir", *words, "--autopilot", vehicle.flavour, "--out", mission)
+    assert done.returncode == 0, done.stderr
+    return mission
+
+
+def holds(vehicle: RealVehicle, mission: Path) -> None:
+    """The vehicle holds that mission, as another program reads it."""
+    sent = load(mission, vehicle.flavour).mission.items
+    assert compare(sent, vehicle.pilot.holds(), vehicle.flavour) == []
+
+
+def upload(home: Path, vehicle: RealVehicle, mission: Path) -> subprocess.CompletedProcess[str]:
+    return fieldcal(home, "upload", mission, "--to", vehicle.link, "--yes", "--wait", "30")
+
+
+def refused(home: Path, vehicle: RealVehicle, mission: Path) -> None:
+    """A mission with an item that the autopilot refuses leaves the one that was there."""
+    file = json.loads(mission.read_text())
+    items = file["mission"]["items"]
+    items[2]["params"][6] += 10.0  # ArduPilot has taken this when it refuses that
+    items[4] |= {"command": REFUSED, "params": [1, 0, 0, 0, 0, 0, 0], "frame": 2}
+    bad = home / "refused.plan"
+    bad.write_text(json.dumps(file))
+    done = upload(home, vehicle, bad)
+    assert done.returncode == 2
+    word = "back" if vehicle.flavour == "ardupilot" else "still there"
+    assert f"The old mission is {word}, read back and compared." in done.stderr
+    holds(vehicle, mission)
+
+
+class Told:
+    """What a command says, line by line, as it says it."""
+
+    def __init__(self, process: subprocess.Popen[bytes]) -> None:
+        self.lines: list[str] = []
+        self._process = process
+        threading.Thread(target=self._listen, daemon=True).start()
+
+    def _listen(self) -> None:
+        assert self._process.stdout is not None
+        for line in self._process.stdout:
+            self.lines.append(line.decode().strip())
+
+    def count(self, words: str) -> int:
+        return sum(words in line for line in self.lines)
+
+    def wait(self, words: str) -> None:
+        def there() -> bool:
+            assert self._process.poll() is None or self.count(words), "\n".join(self.lines)
+            return self.count(words) > 0
+
+        wait_for(there, FLIGHT_S)
+
+
+@contextmanager
+def photographed(home: Path, vehicle: RealVehicle) -> Iterator[Path]:
+    """Rendered photos of whatever the vehicle triggers."""
+    size = f"{SIZE[0]}x{SIZE[1]}"
+    words = ("sim", "camera", "--link", vehicle.camera, "--size", size, "--site-m", "240")
+    with working(home, *words, "--out", home / "tether") as camera:
+        wait_until_ready(camera)
+        yield home / "tether"
+        camera.send_signal(2)
+        assert camera.wait(60) == 0
+
+
+def test_refly_then_trust(vehicle: RealVehicle, tmp_path: Path) -> None:
+    """Photos as triggers as pairs, none wrong; REFLY, the pass uploaded and read back; flown, TRUST."""
+    mission = planned(tmp_path, vehicle)
+    done = upload(tmp_path, vehicle, mission)
+    assert done.returncode == 0, done.stdout + done.stderr
+    holds(vehicle, mission)
+    refused(tmp_path, vehicle, mission)
+    lens = reference_of(SIZE)
+    write_reference_file(lens, tmp_path / LENS)
+    with photographed(tmp_path, vehicle) as photos:
+        words = ("run", "--photos", photos, "--link", vehicle.link, "--reference", tmp_path / LENS)
+        words += ("--offer-refly", "--yes", "--no-live", "--json", tmp_path / "report.json")
+        with working(tmp_path, *words) as process:
+            told = Told(process)
+            told.wait("The vehicle is heard")
+            vehicle.pilot.take_off()
+            told.wait(FLY_IT)
+            assert told.count("REFLY")
+            first = list(vehicle.pilot.photos)
+            holds(vehicle, the_session(tmp_path) / "refly" / "pass.plan")
+            assert not vehicle.pilot.armed
+            vehicle.pilot.take_off()
+            assert process.wait(FLIGHT_S) == 0, "\n".join(told.lines)
+    report = json.loads((tmp_path / "report.json").read_text())
+    assert report["verdict"] == "TRUST"
+    assert lens.brown is not None
+    assert report["calibration"]["f_px"] == pytest.approx(lens.brown.f_px, rel=1e-3)
+    assert len(first) == len(load(mission, vehicle.flavour).plan.stations)
+    pairs_are_right(tmp_path, vehicle.pilot.photos, photos)
+
+
+def pairs_are_right(home: Path, told: list[int], photos: Path) -> None:
+    """As many photos and sure pairs as triggers; each photo with the trigger that it was rendered for."""
+    files = sorted(photos.glob("*.JPG"))
+    assert told == list(range(told[0], told[0] + len(files)))
+    with SessionReader.open(the_session(home)) as session:
+        recorded = session.pairing()
+        triggers = {row.seq: row.value for row in session.triggers()}
+        names = {row.seq: Path(row.value.path).name for row in session.photos()}
+    assert recorded is not None
+    assert len(triggers) == len(names) == len(files)
+    sure = [pair for pair in recorded.value.pairs if pair.sure]
+    assert len(sure) == len(files)
+    for pair in sure:
+        index = triggers[pair.trigger].image_index
+        assert index is not None
+        assert names[pair.photo] == files[index - told[0]].name
+    assert len(read_truth(photos / TRUTH_FILE).photos) == len(files)
