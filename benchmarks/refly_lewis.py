@@ -257,13 +257,14 @@ def _summary(full: Known, cases: Sequence[Case]) -> str:
         f"f was back within its predicted sigma of the full set's in {sum(o <= 1 for o in off)} of {count}",
         f"cases, within two in {sum(o <= 2 for o in off)}. By its own rule (predicted, any one photo",
         f"missing) the search found a pass in {len(kept)} of {count} cases, with",
-        f"{mean([c.chosen for c in kept]):.1f} photos on average; random orders took {mean([n for c in kept for n in c.by_rule]):.1f} there.",
+        f"{mean([c.chosen for c in kept]):.1f} photos on average; random orders took",
+        f"{mean([n for c in kept for n in c.by_rule]):.1f} there.",
         "Elsewhere the rule holds with no number of photos, and it took all that it could use. Measured",
         "afterwards, without a spare, the search's photos, best first, needed",
         f"{mean([c.needed for c in cases]):.1f} to be inside the limit, random orders",
         f"{mean([n for c in cases for n in c.random]):.1f} (fewer in {fewer} of {count} cases). The",
-        f"prediction errs here: sigma found over predicted is {min(ratios):.2f} to {max(ratios):.2f}; below 1",
-        "passes are longer than these photos needed.",
+        f"prediction errs here: sigma found over predicted is {min(ratios):.2f} to {max(ratios):.2f};",
+        "below 1 passes are longer than these photos needed.",
     )
     return " ".join(parts)
 
