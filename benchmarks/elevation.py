@@ -140,8 +140,8 @@ def overall(cases: Sequence[Case], answers: Sequence[dict[str, Any] | None]) -> 
 _ABOUT = """{seeds} clouds of every kind, heights stretched by 0 % in one half and 3 % in the other; reference
 points known to {reference:.0f} cm in each axis, {points} points of the cloud with {cloud:.0f} cm of noise, a
 random shift, turn and scale. Flat: heights within 0.3 m of their mean; gentle: 2 m and 1 % of incline; steep:
-10 m and 10 %. A dome is 15 cm high, bumps have a deviation of 4 cm. Not told: the command says that it cannot
-be told on ground as flat. Sigma: median of those told."""
+10 m and 10 %. A dome is 15 cm high, bumps have a deviation of 4 cm. Not told: the command says that
+the ground is too flat. Sigma: median of those told."""
 
 
 def main() -> None:

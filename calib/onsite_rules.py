@@ -150,7 +150,7 @@ def wall_angles(flatness: Flatness) -> Finding:
     value = 100 * pairs / k
     steep = int(np.sum(np.maximum(np.abs(sideways), np.abs(upward)) > STEEP_SIDE_DEG))
     head_on = int(np.sum((np.abs(sideways) < SIDE_DEG) & (np.abs(upward) < SIDE_DEG)))
-    text = f"{left} photos look at the wall from the right, {right} from the left and {head_on} head-on"
+    text = f"Photos of the wall: {right} from the left, {left} from the right, {head_on} head-on"
 
     def finding(state: State, ending: str) -> Finding:
         return Finding(

@@ -51,7 +51,13 @@ def adjust_k(
         )
     if out is not None:
         check_file_writable(out)
-    line = _line(before if line_of is None else load_reference(line_of))
+    owner = before if line_of is None else load_reference(line_of)
+    if owner.width and owner.width != camera.width:
+        raise InputError(
+            f"The line of {owner.name} is for photos {owner.width} px wide, those of {before.name} are "
+            f"{camera.width} px: K in pixel units change with the size; leave --line-of away."
+        )
+    line = _line(owner)
     radial = Radial.of(camera)
     if not radial.opposite_signs:
         raise InputError(

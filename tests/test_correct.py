@@ -174,5 +174,8 @@ def test_adjust_k_is_labelled_and_refuses(
     assert cli.run(["adjust-k", "dji-phantom-3-professional"]) == 0
     assert capsys.readouterr().out.startswith("Not a repair")
     assert cli.run(["adjust-k", "dji-inspire-1"]) == 2
+    capsys.readouterr()
+    assert cli.run(["adjust-k", "dji-phantom-3-professional", "--line-of", "workswell-wiris-pro"]) == 2
+    assert "K in pixel units change with the size" in capsys.readouterr().err
     assert cli.run(["adjust-k", "no-such-camera"]) == 2
     assert "no-such-camera" in capsys.readouterr().err

@@ -90,7 +90,13 @@ def _figures(made: CloudAssessment) -> list[tuple[str, str, Any]]:
         ),
         (
             "Against elevation",
-            "A slope here is an error of the vertical scale, as a wrong focal length makes it.",
+            "A slope of the line is an error of the vertical scale, as a wrong focal length makes it. "
+            + (
+                "The reference points lean by the noise of their own heights, which the line allows for."
+                if made.trend is not None and made.trend.told
+                else "There is none: the ground is too flat, or the points are too few. On flat ground the "
+                "reference points lean by the noise of their own heights alone."
+            ),
             elevation_figure(made),
         ),
     ]

@@ -87,7 +87,7 @@ def register(
     Raises:
         InputError: too few points lie on the cloud.
     """
-    origin = np.round(reference_m[on].mean(axis=0), -1)
+    origin = np.round(reference_m[on].mean(axis=0), -1) + 0.0  # Never minus nought.
     reference = reference_m - origin
     shift = cloud.origin - origin  # From the cloud's own origin to M7's.
     if picked_m is not None:

@@ -177,7 +177,10 @@ def assess_cloud(
         free = registration.seven.covariance if picked_m is not None else np.diag(PRIOR_SIGMAS**2)
         trend = robust_trend(reference[there], residual, registration.derivatives[there], free)
     step = max(1, len(some) // SHOWN_POINTS)
-    shown = np.column_stack([some[::step, 2] + registration.origin[2], some[::step, 3]])
+    # Of the ground, not of a cloud that may be tilted.
+    ground = registration.seven.similarity
+    elevation = ((some[::step, :3] - ground.shift) @ ground.rotation / ground.scale)[:, 2]
+    shown = np.column_stack([elevation + registration.origin[2], some[::step, 3]])
     return CloudAssessment(
         cloud, truth, registration, picked_m is not None, eta, cells, bowl, trend, profiles, shown, radius,
         height_agl_m, (*cloud.notes, *truth.notes, *_remarks(registration, truth)),

@@ -76,8 +76,10 @@ def elevation_text(made: CloudAssessment) -> str | None:
         return None
     if not trend.told:
         relief = quantity(made.relief_m, None, "m", 2)
-        known = f": to {quantity(100 * trend.sigma, None, '%', 2)} only" if trend.sigma < 1 else ""
-        return f"No scale of heights can be told on ground as flat as this ({relief}){known}."
+        known = (
+            f"only known to {quantity(100 * trend.sigma, None, '%', 2)}" if trend.sigma < 1 else "not known"
+        )
+        return f"Whether heights have the scale of the plan is {known}: the ground is too flat ({relief})."
     size = quantity(100 * trend.slope, 100 * trend.sigma, "%")
     if abs(trend.slope) > _SIGMAS * trend.sigma:
         return f"Heights have another scale than the plan: {size} of the height difference."

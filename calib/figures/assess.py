@@ -57,7 +57,7 @@ def eta_map_figure(made: CloudAssessment) -> go.Figure:
                 x=float32(at[index, 0]),
                 y=float32(at[index, 1]),
                 mode="markers",
-                marker={"size": 5 if len(index) > 200 else 7, "symbol": symbol, "color": colour},
+                marker={"size": _size(len(index)), "symbol": symbol, "color": colour},
                 text=list(names[index]),
                 hovertemplate="%{text}<extra></extra>",
                 name=name,
@@ -79,6 +79,11 @@ def eta_map_figure(made: CloudAssessment) -> go.Figure:
     figure.update_xaxes(title_text="east of the middle (m)", constrain="domain", nticks=7)
     figure.update_yaxes(title_text="north of the middle (m)", scaleanchor="x", constrain="domain", nticks=7)
     return figure
+
+
+def _size(points: int) -> int:
+    """Of markers: many must not hide the map."""
+    return 7 if points <= 200 else 5 if points <= 600 else 2
 
 
 def profile_lines_figure(made: CloudAssessment) -> go.Figure:
@@ -137,7 +142,12 @@ def elevation_figure(made: CloudAssessment) -> go.Figure:
         x=float32(elevation),
         y=float32(residual * factor),
         mode="markers",
-        marker={"size": 6, "color": FLIGHT, "symbol": "diamond", "line": {"color": "white", "width": 0.5}},
+        marker={
+            "size": max(_size(len(residual)) - 1, 3),
+            "color": FLIGHT,
+            "symbol": "diamond",
+            "line": {"color": "white", "width": 0.5 if len(residual) <= 600 else 0},
+        },
         name="at the reference points",
     )
     if made.trend is not None and made.trend.told:

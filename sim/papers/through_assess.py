@@ -225,8 +225,8 @@ def _said(page: Section, by_flight: dict[str, list[dict[str, Any]]]) -> None:
         + _against_focal(focal)
         + f"On site B, flat as it is, heights determine the scale in {scaled} of {len(flat)} flights and a "
         f"slope against elevation in {told}; in the others the command says that they do not: some "
-        "decimetres of relief are too little. eta_p also holds the relief between the surveyed points, which the "
-        "residual at the points does not."
+        "decimetres of relief are too little. eta_p also holds the relief between the surveyed points, which "
+        "the residual at the points does not."
     )
 
 
