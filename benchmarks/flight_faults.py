@@ -373,12 +373,12 @@ def report(flown: list[Flown]) -> str:
         "",
         f"{len(flown)} flights of 15-45 photos over real sockets, ArduPilot and PX4, at {SPEED_UP:g} "
         "times real time; by seed, all in the time of the flight: loss to 10 %, doubling to 30 %, delay to "
-        "0.5 s and reordering, up to two cuts of 1-40 s, shutters that fail (to 15 %), files that never come, "
-        "test shots, a camera clock off by up to an hour and drifting by up to 200 ppm, a third with whole "
-        "seconds; wind to 8 m/s with gusts to 3 m/s; a receiver with noise to 0.3 m and a drift of 0.6-1.8 m "
-        f"on each axis (1.6 times that in height), a quarter of which state dilutions only; {jumps} jumps of "
-        f"3-8 m for 4-25 s that nobody announces; {cycles} power cycles in the air. One flight in eight has "
-        "none of these but the clock. Made by `python -m benchmarks.flight_faults`.",
+        "0.5 s and reordering, up to two cuts of 1-40 s, shutters that fail (to 15 %), files that never "
+        "come, test shots, a camera clock off by up to an hour and drifting by up to 200 ppm, a third with "
+        "whole seconds; wind to 8 m/s with gusts to 3 m/s; a receiver with noise to 0.3 m and a drift of "
+        "0.6-1.8 m on each axis (1.6 times that in height), a quarter of which state dilutions only; "
+        f"{jumps} jumps of 3-8 m for 4-25 s that nobody announces; {cycles} power cycles in the air. One "
+        "flight in eight has none of these but the clock. Made by `python -m benchmarks.flight_faults`.",
         "",
         f"**{len(flown) - len(wrong)} of {len(flown)} flights without a fault of ours.**",
         "",

@@ -10,9 +10,9 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from daemon.capture.jumps import UNWATCHED_M, Jumps
+from daemon.capture.jumps import UNWATCHED_M
 from daemon.capture.recent import Recent
-from daemon.capture.trigger_book import TriggerBook, places_of
+from daemon.capture.trigger_book import PLACED, TriggerBook, places_of
 from daemon.link import events as ev
 from daemon.session.store import Session
 from tests.test_capture_book import BASE, HOME, UTC_S, circle, position, report
@@ -141,9 +141,17 @@ def test_photos_placed_before_a_jump_was_seen_are_recorded_anew(tmp_path: Path) 
         assert TriggerBook(session).places == book.places
 
 
-def test_jumps_need_no_memory_of_every_sample() -> None:
-    jumps = Jumps()
-    for one in track(lambda boot_s: 5.0 * (int(boot_s / 70) % 2), 700.0):
-        place = replace(listened([one])._samples[0], sigma_horizontal_m=1.3, sigma_vertical_m=2.1)
-        jumps.add(place, one.velocity_enu_m_s)
-    assert len(jumps.doubts) == 9
+def test_a_track_of_nothing_but_steps_is_doubted_and_costs_no_memory(tmp_path: Path) -> None:
+    """A place told once in two seconds: each photo is recorded anew a few times, not for ever."""
+    recent = Recent()
+    recent.add(ev.GnssFix(3, 14, 1.3, 2.1))
+    with Session.create(tmp_path / "record") as session:
+        book = TriggerBook(session)
+        for n, one in enumerate(track(lambda _: 0.0, 300.0, speed=False)):
+            recent.add(replace(position(2.0 * (n // 10)), vehicle_boot_s=one.vehicle_boot_s))
+            if n % 10 == 5:
+                assert book.hear(report(n // 10, one.vehicle_boot_s), UTC_S + one.vehicle_boot_s, BASE)
+            book.place(recent, BASE, UTC_S + one.vehicle_boot_s)
+        assert len(recent.jumps.doubts) <= 130
+        assert 140 <= len(session.events(PLACED)) <= 4 * 150
+        assert len(recent.news()) <= 11

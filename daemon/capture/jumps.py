@@ -17,6 +17,8 @@ from daemon.capture.position import ACCELERATION_M_S2, MAX_HOLE_S, TrackSample
 
 #: A place that has not jumped for so long is what the receiver says it is.
 SETTLED_S = 60.0
+#: Doubts that are over for so long are forgotten: photos are placed long before.
+KEEP_S = 120.0
 #: Added where a jump would not have been seen: in and between holes of the track.
 UNWATCHED_M = 2.5
 #: Steps smaller than this are none, nor those within the stated sigma.
@@ -42,8 +44,8 @@ class Doubt:
 class Jumps:
     """Feed every position to :meth:`add`; messages that come late are passed over.
 
-    ``doubts``: so far; the last one may be open (``until_s`` infinite). Of doubts about the past, those
-    not yet fetched are in :meth:`looking_back`.
+    ``doubts``: of the last minutes; the last one may be open (``until_s`` infinite). Of doubts about the
+    past, those not yet fetched are in :meth:`looking_back`.
     """
 
     def __init__(self) -> None:
@@ -119,6 +121,7 @@ class Jumps:
         if not self._settled:
             # Whether it came here or went from here cannot be told.
             self._look_back(Doubt(self._since_s, at_s, *_sizes(step)))
+            self._since_s = at_s
         self._level = self._level + step
         self._stepped_s = at_s
         across, up = _sizes(self._level)
@@ -128,6 +131,7 @@ class Jumps:
             self._level, self._settled = np.zeros(3), True
             return None
         found = Doubt(before_s, np.inf, across, up)
+        self.doubts = [one for one in self.doubts if one.until_s > at_s - KEEP_S]
         self.doubts.append(found)
         self._open = True
         return found

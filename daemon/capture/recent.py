@@ -52,9 +52,10 @@ class Recent:
         self._rtk = False
         self.jumps = Jumps()
         self._news: list[Doubt] = []
+        self._said_s = -np.inf
 
     def news(self) -> list[Doubt]:
-        """Jumps of the position since the last call."""
+        """Jumps of the position since the last call; of many in a row the first."""
         found, self._news = self._news, []
         return found
 
@@ -62,7 +63,7 @@ class Recent:
         if isinstance(event, ev.VehicleRestarted):
             for series in (self._samples, self._attitudes, self._gimbals):
                 series.clear()
-            self.jumps = Jumps()
+            self.jumps, self._said_s = Jumps(), -np.inf
         elif isinstance(event, ev.GnssFix):
             self._plain, self._rtk = _accuracy(event), event.fix >= _RTK
         elif isinstance(event, ev.Position):
@@ -76,7 +77,9 @@ class Recent:
             )
             self._samples.append(sample)
             jump = self.jumps.add(sample, event.velocity_enu_m_s)
-            self._news += [] if jump is None else [jump]
+            if jump is not None and jump.since_s > self._said_s + KEEP_S:
+                self._said_s = jump.since_s
+                self._news.append(jump)
             self._forget(event.vehicle_boot_s - KEEP_S)
         elif isinstance(event, ev.Attitude):
             self._attitudes.append((event.vehicle_boot_s, event.angles))

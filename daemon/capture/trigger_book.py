@@ -135,8 +135,10 @@ class TriggerBook:
     def _doubt(self, recent: Recent, now_s: float) -> None:
         """Photos that were placed before it showed that their places may have jumped are known worse."""
         for doubt in recent.jumps.looking_back():
-            for number in range(self._started + 1, self.count + 1):
+            for number in range(self.count, self._started, -1):
                 tag, boot_s = self.places.get(number), self._times[number][1]
+                if boot_s is not None and boot_s < doubt.since_s - _PATIENCE_S:
+                    break
                 if tag is None or boot_s is None or not doubt.holds(boot_s):
                     continue
                 place = doubted(tag.position, doubt.horizontal_m, doubt.vertical_m)
