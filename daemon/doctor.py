@@ -147,9 +147,10 @@ def _link(state: LinkState, health: LinkHealth, now_s: float) -> Check:
 def _answer_time(state: LinkState, now_s: float) -> Check:
     found = state.time_base.boot_of_local(now_s)
     if found is None:
-        return Check(
-            Level.NOTE, "time base", "The vehicle does not answer the question for its clock; UTC is used."
-        )
+        text = "The vehicle does not answer the question for its clock; UTC is used."
+        if state.time_base.boot_from_local.samples:
+            text = "The vehicle's clock does not run like this computer's (a simulator's may); UTC is used."
+        return Check(Level.NOTE, "time base", text)
     return Check(
         Level.GOOD, "time base", f"The vehicle's clock is known to {1e3 * max(found[1], 1e-3):.0f} ms."
     )
@@ -189,7 +190,10 @@ def _vehicle_clock(state: LinkState, now_s: float) -> Check:
     boot = state.time_base.boot_of_local(now_s)
     utc = None if boot is None else state.time_base.utc_of_boot(boot[0])
     if utc is None:
-        return Check(Level.NOTE, "date", "The vehicle does not know the date yet (no satellite time).")
+        text = "The vehicle does not know the date yet (no satellite time)."
+        if state.time_base.utc_from_boot.samples:
+            text = "The vehicle knows the date, but its clock cannot be compared with this computer's."
+        return Check(Level.NOTE, "date", text)
     away = now_s - utc[0]
     if abs(away) > CLOCK_S + utc[1]:
         late = "ahead of" if away > 0 else "behind"

@@ -22,9 +22,9 @@ from mission.encode import Flavour, Item
 
 _mavutil: Any = importlib.import_module("pymavlink.mavutil")
 HOME = LocalFrame(47.0, 8.5, 430.0)
-SET_MODE, ARM, START, ASK_RATE = 176, 400, 300, 511
+SET_MODE, ARM, START, SET_CURRENT, ASK_RATE = 176, 400, 300, 224, 511
 #: Copter does not arm in AUTO, in which it still is where its last mission ended.
-LOITER = 5
+LOITER, GUIDED = 5, 4
 _GROUND_STATION = 255
 #: A vehicle whose sensors are calibrated, with a camera and a servo mount, which its simulator does not
 #: have by itself.
@@ -60,11 +60,6 @@ SERVO10_FUNCTION 8
 SERVO11_FUNCTION 7
 SERVO12_FUNCTION 6
 """
-#: A camera and a gimbal that its own missions aim.
-PX4_PARAMETERS = {"TRIG_MODE": "4", "TRIG_INTERFACE": "3", "MNT_MODE_IN": "4", "MNT_MODE_OUT": "0"}
-#: Local ports of PX4's links, and where it sends before anybody has spoken, without the instance's number.
-_PX4_GROUND, _PX4_ONBOARD, _PX4_GIMBAL = 18570, 14580, 13030
-_PX4_ONBOARD_REMOTE, _PX4_GIMBAL_REMOTE = 14540, 13280
 
 
 @dataclass(frozen=True)
@@ -96,54 +91,11 @@ def arducopter(binary: str, folder: Path, speed_up: float) -> Iterator[RealVehic
 
 
 @contextmanager
-def px4(binary: str, folder: Path, speed_up: float) -> Iterator[RealVehicle]:
-    """PX4 with its built-in simulated quadcopter; its start-up files lie in ``etc`` beside ``bin/px4``."""
-    folder.mkdir()
-    number = _free_instance()
-    words = [
-        binary,
-        "-d",
-        str(Path(binary).resolve().parent.parent / "etc"),
-        "-w",
-        str(folder),
-        "-i",
-        str(number),
-    ]
-    place = (HOME.latitude_deg, HOME.longitude_deg, HOME.altitude_m)
-    asked = {"PX4_SIM_MODEL": "sihsim_quadx", "PX4_SIM_SPEED_FACTOR": f"{speed_up:g}"}
-    asked |= {
-        f"PX4_HOME_{name}": f"{value}" for name, value in zip(("LAT", "LON", "ALT"), place, strict=True)
-    }
-    asked |= {f"PX4_PARAM_{name}": value for name, value in PX4_PARAMETERS.items()}
-    with (
-        _running(words, folder, asked),
-        Pilot(f"udpout:127.0.0.1:{_PX4_GIMBAL + number}", system=number + 1) as pilot,
-    ):
-        pilot.wait_until_ready()
-        link, camera = (f"udpout://127.0.0.1:{port + number}" for port in (_PX4_ONBOARD, _PX4_GROUND))
-        yield RealVehicle("px4", link, camera, pilot)
-
-
-def _free_instance() -> int:
-    """PX4 counts its ports on by its instance's number, and has as many below 10 as it says."""
-    for number in range(1, 10):
-        try:
-            for port in (_PX4_GROUND, _PX4_ONBOARD, _PX4_GIMBAL, _PX4_GIMBAL_REMOTE, _PX4_ONBOARD_REMOTE):
-                with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
-                    one.bind(("127.0.0.1", port + number))
-        except OSError:
-            continue
-        return number
-    raise AssertionError("All of PX4's ports are in use.")
-
-
-@contextmanager
-def _running(words: list[str], folder: Path, asked: dict[str, str] | None = None) -> Iterator[None]:
+def _running(words: list[str], folder: Path) -> Iterator[None]:
     with (folder / "vehicle.log").open("wb") as log:
         process = subprocess.Popen(
             words,
             cwd=folder,
-            env={**os.environ, **(asked or {})},
             stdin=subprocess.DEVNULL,
             stdout=log,
             stderr=subprocess.STDOUT,
@@ -176,7 +128,6 @@ class Pilot:
     """A ground station in a few lines. ``newest``: last message of each kind; ``photos``: numbers told of."""
 
     address: str
-    system: int = 1
     newest: dict[str, Any] = field(default_factory=dict)
     photos: list[int] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
@@ -205,8 +156,6 @@ class Pilot:
             kind = heard.get_type()
             if kind == "CAMERA_FEEDBACK" and heard.img_idx not in self.photos:
                 self.photos.append(heard.img_idx)
-            elif kind == "CAMERA_TRIGGER" and heard.seq not in self.photos:
-                self.photos.append(heard.seq)
             elif kind == "STATUSTEXT":
                 self.said.append(heard.text)
             self.newest[kind] = heard
@@ -218,13 +167,12 @@ class Pilot:
     def wait_until_ready(self, timeout_s: float = 180.0) -> None:
         """The estimator knows where the vehicle is, and all checks before arming are passed."""
         wait_for(lambda: "HEARTBEAT" in self.newest, timeout_s)
-        for message in (1, 193, 230, 242):  # SYS_STATUS, EKF_STATUS_REPORT, ESTIMATOR_STATUS, HOME_POSITION
+        for message in (1, 193, 242):  # SYS_STATUS, EKF_STATUS_REPORT, HOME_POSITION
             self.command(ASK_RATE, message, 1e6)
         wait_for(self._ready, timeout_s)
 
     def _ready(self) -> bool:
-        estimator = self.newest.get("EKF_STATUS_REPORT") or self.newest.get("ESTIMATOR_STATUS")
-        status = self.newest.get("SYS_STATUS")
+        estimator, status = self.newest.get("EKF_STATUS_REPORT"), self.newest.get("SYS_STATUS")
         if estimator is None or status is None or "HOME_POSITION" not in self.newest:
             return False
         places = 1 << 4 | 1 << 9  # absolute position, known and predicted
@@ -232,9 +180,17 @@ class Pilot:
 
     def take_off(self) -> None:
         """Arm and start the mission."""
-        if self.newest["HEARTBEAT"].autopilot == 3:  # ArduPilot
-            assert self.command(SET_MODE, 1, LOITER) == 0, self.said[-5:]
+        assert self.command(SET_MODE, 1, LOITER) == 0, self.said[-5:]
         assert self.command(ARM, 1) == 0, self.said[-5:]
+        assert self.command(START) == 0, self.said[-5:]
+
+    def hold(self) -> None:
+        """Stay in the air. LOITER would sink: the simulated stick is down."""
+        assert self.command(SET_MODE, 1, GUIDED) == 0, self.said[-5:]
+
+    def restart(self) -> None:
+        """The mission from its beginning, in the air."""
+        assert self.command(SET_CURRENT, 1, 1) == 0, self.said[-5:]
         assert self.command(START) == 0, self.said[-5:]
 
     def command(self, number: int, *params: float, timeout_s: float = 30.0) -> int:
@@ -243,7 +199,7 @@ class Pilot:
         given = [*params, *[0.0] * 7][:7]
         end = time.monotonic() + timeout_s
         while time.monotonic() < end:
-            self._link.mav.command_long_send(self.system, 1, number, 0, *given)
+            self._link.mav.command_long_send(1, 1, number, 0, *given)
             answer = self._answer("COMMAND_ACK", lambda heard: heard.command == number)
             if answer is not None:
                 return int(answer.result)
@@ -252,19 +208,17 @@ class Pilot:
     def holds(self) -> list[Item]:
         """The mission on board, as this program reads it."""
         mav = self._link.mav
-        count = self._asked(
-            lambda: mav.mission_request_list_send(self.system, 1, 0), "MISSION_COUNT", lambda _: True
-        )
+        count = self._asked(lambda: mav.mission_request_list_send(1, 1, 0), "MISSION_COUNT", lambda _: True)
         found = []
         for number in range(count.count):
             one = self._asked(
-                lambda n=number: mav.mission_request_int_send(self.system, 1, n, 0),  # type: ignore[misc]
+                lambda n=number: mav.mission_request_int_send(1, 1, n, 0),  # type: ignore[misc]
                 "MISSION_ITEM_INT",
                 lambda heard, n=number: heard.seq == n,  # type: ignore[misc]
             )
             params = (one.param1, one.param2, one.param3, one.param4)
             found.append(Item(one.command, one.frame, *params, one.x, one.y, one.z, bool(one.autocontinue)))
-        mav.mission_ack_send(self.system, 1, 0, 0)
+        mav.mission_ack_send(1, 1, 0, 0)
         return found
 
     def _asked(self, ask: Callable[[], None], kind: str, fits: Callable[[Any], bool]) -> Any:

@@ -17,6 +17,7 @@ pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
 
 from daemon.cli import run
 from daemon.doctor import vehicle
+from daemon.link.clock import TimeBase
 from daemon.link.events import Autopilot, Heartbeat
 from daemon.link.live import LinkHealth
 from daemon.link.state import LinkState
@@ -174,6 +175,22 @@ def test_doctor_knows_the_one_station_of_either_version(found: dict[str, float])
     said = [check for check in vehicle(state, LinkHealth(), Streams(), 0.0) if check.topic == "rights"]
     assert len(said) == (found != {"MAV_OPTIONS": 2.0})
     assert all(next(iter(found)) in check.sentence for check in said)
+
+
+def test_doctor_names_a_clock_that_runs_otherwise() -> None:
+    """An autopilot's simulator at twice real time answers, and knows the date (measured)."""
+    base = TimeBase()
+    for second in range(12):
+        base = base.with_timesync(100.0 + second, 2.0 * second, 100.001 + second)
+        base = base.with_system_time(2.0 * second, 1.8e9 + 2.0 * second)
+    said = {
+        check.topic: check for check in vehicle(LinkState(time_base=base), LinkHealth(), Streams(), 112.0)
+    }
+    assert "does not run like this computer's" in said["time base"].sentence
+    assert "knows the date" in said["date"].sentence
+    silent = {check.topic: check for check in vehicle(LinkState(), LinkHealth(), Streams(), 112.0)}
+    assert "does not answer" in silent["time base"].sentence
+    assert "does not know the date yet" in silent["date"].sentence
 
 
 def test_sim_vehicle(tmp_path: Path) -> None:

@@ -223,6 +223,23 @@ def test_a_mission_cleared_in_flight() -> None:
         assert (ground.vehicle.pilot.mode == "mission") is flying_on
 
 
+@pytest.mark.parametrize("restarted", [False, True])
+def test_copter_begins_a_mission_uploaded_in_the_air_where_the_old_one_was_left(restarted: bool) -> None:
+    """Its first photos are missing then, unless the pilot restarts it."""
+    ground = Ground("ardupilot")
+    ground.start()
+    ground.until(lambda: len(ground.vehicle.photos) == 9)
+    ground.command(176, 1, 4)  # GUIDED holds
+    extra = plan_of(*orbit(5, radius=20.0, height=40.0), speed_m_s=5.0)
+    assert ground.upload(encode.items(extra, "ardupilot")) == 0
+    if restarted:
+        assert ground.command(224, 1, 1) == 0
+    assert ground.command(300) == 0
+    ground.until(lambda: ground.vehicle.done)
+    taken = len(ground.vehicle.photos) - 9
+    assert taken == 5 if restarted else taken < 5
+
+
 def test_a_shorter_mission_in_flight_leaves_copter_at_the_vanished_item() -> None:
     ground = Ground("ardupilot")
     ground.start()

@@ -19,10 +19,9 @@ from daemon.link.progress import ProgressFilter
 from daemon.link.triggers import Trigger, TriggerFilter
 from mission import encode
 from mission.encode import Flavour
-from mission.plan import stations
 from sim.faults.ends import free_port
 from sim.vehicle import Faults, VehicleOptions, VehicleServer
-from tests.mission_plans import LAUNCH, angle_deg, line, orbit, plan_of
+from tests.mission_plans import LAUNCH, angle_deg, line, orbit, plan_of, triggered
 from tests.vehicle_client import Client, client, from_mavsdk_items
 
 PLAN = plan_of(*line(60.0, 10.0, 30.0), *orbit(6, radius=25.0, height=30.0), speed_m_s=5.0)
@@ -56,7 +55,7 @@ def test_a_plan_is_flown_and_each_photo_counted_once(flavour: Flavour) -> None:
     options = VehicleOptions(flavour, LAUNCH, camera_component=flavour == "ardupilot")
     with VehicleServer(options, ("127.0.0.1", port), faults=faults, seed=3) as server:
         heard = asyncio.run(_fly(server, f"udpin://127.0.0.1:{port}", flavour)).heard
-    truth, want = server.vehicle.photos, stations(PLAN)
+    truth, want = server.vehicle.photos, triggered(PLAN)
     assert len(truth) == len(want)
     for photo, station in zip(truth, want, strict=True):
         assert math.dist(photo.at_m, (station.east_m, station.north_m, station.height_m)) < 1.0

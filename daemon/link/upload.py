@@ -29,6 +29,11 @@ _FLAVOURS: dict[Autopilot, Flavour] = {Autopilot.ARDUPILOT: "ardupilot", Autopil
 _READ_TIMES = 3
 #: Beside the kept missions while one is changed: names the file, for whoever comes after a kill.
 UNDER_WAY = "upload-under-way.txt"
+#: ArduPilot keeps the number of the item at which it left a mission, also for the next mission.
+GOES_ON = (
+    "It would go on with it at the item where it stopped: restart the mission (set item 1) before you "
+    "switch to AUTO, or its first photos are missing."
+)
 
 
 class NotAllowedError(InputError):
@@ -208,6 +213,9 @@ class _Transaction:
         if problem is None:
             what = f"{self.mission.count} items" + ("" if self.mission.fence is None else " and the fence")
             text = f"The vehicle holds the mission: {what}, read back and compared."
+            beat = self.link.state.last(Heartbeat)
+            if self.mission.flavour == "ardupilot" and beat is not None and beat.armed:
+                text = f"{text} {GOES_ON}"
             return Result(Outcome.UPLOADED, text, kept)
         result = self.restore(before)
         text = f"{problem.sentence} {result.message}"

@@ -142,8 +142,8 @@ def trigger_gap_m(start: Waypoint, end: Waypoint) -> float:
     """Distance at which photos are triggered on a LINE, its last one at ``end`` by command.
 
     A vehicle flies past the end before it stands, and a photo due by distance at the very end would often
-    be taken there as well, an instant before the one by command: too soon for many a camera. So the
-    distance is a little longer than :func:`line_gap_m`, by :data:`OVERSHOOT_M` over the whole line.
+    be taken there as well, half a metre from the one by command. So the distance is a little longer than
+    :func:`line_gap_m`, by :data:`OVERSHOOT_M` over the whole line.
     """
     gap = line_gap_m(start, end)
     length = float(np.linalg.norm(end.enu_m - start.enu_m))

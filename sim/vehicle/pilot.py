@@ -283,11 +283,17 @@ class CopterPilot(Pilot):
         return True
 
     def _enter_mission(self) -> None:
+        """A mission that was uploaded meanwhile is begun at the number where the old one was left."""
         self.stage = MissionStage.ACTIVE
+        items = self.mission()
         if self._nav is None:
             self._advance(max(self.current, 1))
+        elif self.current >= len(items):
+            self._advance(1)
+        elif items[self.current].command not in FLOWN:
+            self._advance(self.current)
         else:
-            self._do_index = None
+            self._do_index, self._nav = None, items[self.current]
             self._start(self._nav)
 
     def _leave_mission(self) -> None:
