@@ -10,9 +10,10 @@ from calib.align.adjust import BoolArray
 from calib.align.rotations import similarity_tangent
 from calib.align.selfcal import Calibrated, hold
 from calib.camera import FloatArray
+from calib.evidence import CONVERGENT_DEG
 from calib.field import LENS_NAMES, Lens
 from calib.similarity import fit_similarity
-from calib.solution import Dome
+from calib.solution import Dome, Observations
 
 #: Points that the lens leaves open so many times as much as the middle one do not count for the dome.
 UNSETTLED = 100.0
@@ -69,6 +70,20 @@ def _settled(response: FloatArray, covariance: FloatArray) -> BoolArray:
     return kept
 
 
+def of_the_site(rotations: FloatArray, observations: Observations, n_points: int) -> BoolArray:
+    """Points (m,) of the ground that was surveyed.
+
+    Where most photos (cam_from_world (k, 3, 3), z up) look down, ground that only the others see, far aside,
+    is not what anybody surveyed, and the dome over it grows with the square of its distance.
+    """
+    down = -rotations[:, 2, 2] > np.cos(np.radians(CONVERGENT_DEG))
+    everything = np.ones(n_points, bool)
+    if 2 * down.sum() <= len(down):
+        return everything
+    found: BoolArray = np.bincount(observations.point[down[observations.photo]], minlength=n_points) >= 2
+    return found if 2 * found.sum() > n_points else everything
+
+
 def predict_dome(
     block: Calibrated,
     lens_covariance: FloatArray,
@@ -86,6 +101,7 @@ def predict_dome(
     if adjusted.point_response is None:
         raise ValueError("the block was adjusted without its response")
     kept = _settled(adjusted.point_response, lens_covariance[np.ix_(adjusted.free, adjusted.free)])
+    kept &= of_the_site(adjusted.state.rotations, block.observations, len(kept))
     points = adjusted.state.points_m[kept]
     heights = _tangent_rest(points, adjusted.point_response[kept])
     gain = np.zeros(len(LENS_NAMES))
