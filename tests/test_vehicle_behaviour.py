@@ -225,7 +225,7 @@ def test_a_mission_cleared_in_flight() -> None:
 
 @pytest.mark.parametrize("restarted", [False, True])
 def test_copter_begins_a_mission_uploaded_in_the_air_where_the_old_one_was_left(restarted: bool) -> None:
-    """Its first photos are missing then, unless the pilot restarts it."""
+    """Its first photos are missing then, unless the pilot restarts it (from the source of 4.7)."""
     ground = Ground("ardupilot")
     ground.start()
     ground.until(lambda: len(ground.vehicle.photos) == 9)

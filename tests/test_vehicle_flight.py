@@ -94,7 +94,7 @@ def _numbers_heard(heard: list[tuple[float, Message]], flavour: Flavour) -> set[
     camera_counts_from = 1 if flavour == "ardupilot" else 0
     found = set()
     for _, message in heard:
-        if message.name in fields:
+        if message.name in fields and (message.name, message.integer("time_usec")) != ("CAMERA_FEEDBACK", 0):
             shift = camera_counts_from if message.name == "CAMERA_IMAGE_CAPTURED" else 0
             found.add(message.integer(fields[message.name]) + shift)
     return found
