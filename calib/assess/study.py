@@ -14,9 +14,9 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calib.align.dome import site_radius_m
-from calib.assess.elevation import robust_trend
+from calib.assess.elevation import BoolArray, robust_trend
 from calib.assess.model import ElevationTrend, Surface, profile
-from calib.assess.register import PRIOR_SIGMAS, BoolArray, Registration, correlation, register
+from calib.assess.register import PRIOR_SIGMAS, Registration, correlation, register
 from calib.assess.truth import DATUM_M, Truth
 from calib.camera import FloatArray
 from calib.clouds import LoadedCloud
