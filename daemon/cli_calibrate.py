@@ -296,7 +296,9 @@ def _show_control(kept: KeptControl, wanted: _Wanted, alone: bool) -> None:
         headline = f"{camera_name(made.photos[0].camera)}: {headline}"
     if wanted.quiet:
         if not to_stderr:
-            say.print(headline)
+            # Marks or points that are wrong are part of the result.
+            for text in (headline, *made.blunders):
+                say.print(text, soft_wrap=True)
         return
     say.print(headline)
     say.print(summary(made), soft_wrap=True)
