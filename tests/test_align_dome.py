@@ -8,12 +8,19 @@ import numpy as np
 import pytest
 from align_blocks import INDEX, block_adjustment, loose_priors, small, solved, truth_of
 
-from calib.align.dome import aligned_difference_m, dome_amplitude_m, predict_dome, site_radius_m
+from calib.align.dome import (
+    aligned_difference_m,
+    dome_amplitude_m,
+    of_the_site,
+    predict_dome,
+    site_radius_m,
+)
 from calib.align.grow import lens_mask
 from calib.align.selfcal import Calibrated
 from calib.camera import FloatArray
 from calib.field import LENS_NAMES
-from calib.solution import Dome
+from calib.solution import Dome, Observations
+from sim.flights import rotation_looking
 from sim.network import SimBlock
 
 
@@ -136,3 +143,20 @@ def test_block_without_response_is_refused() -> None:
     )
     with pytest.raises(ValueError, match="response"):
         predict_dome(bare_block, bare.covariance, None, 60.0)
+
+
+def test_ground_that_only_oblique_photos_see_is_not_the_sites() -> None:
+    """Photos that look down see points 0 to 5, the oblique ones alone 6 and 7; point 8 has one of each."""
+    seen = [(photo, point) for point in range(6) for photo in (0, 1, 2)]
+    seen += [(photo, point) for point in (6, 7) for photo in (3, 4)] + [(0, 8), (3, 8)]
+    photo, point = np.array(seen).T
+    obs = Observations(photo, point, np.zeros((len(seen), 2)), np.ones(len(seen)))
+
+    def site(*off_nadir_deg: float) -> list[int]:
+        tilt = np.array(off_nadir_deg)
+        return np.flatnonzero(of_the_site(rotation_looking(70.0 * np.arange(5), tilt), obs, 9)).tolist()
+
+    assert site(0, 3, 8, 30, 40) == list(range(6))
+    # Where most photos are oblique, what they see was meant.
+    assert site(0, 3, 35, 30, 40) == list(range(9))
+    assert site(0, 0, 0, 0, 0) == list(range(9))

@@ -27,7 +27,7 @@ from mission.limits import hard_violations
 from mission.plan import Vehicle, stations
 from mission.refly import Refly, refly
 from mission.refly_passes import paper_fan, tilts_for
-from mission.refly_search import PassSearch
+from mission.refly_search import PassSearch, cured_sigma_f_percent
 from mission.refly_sheet import render_refly_sheet
 from mission.refly_site import FlownSite, flown_site
 from mission.refly_words import short_of, why_no_pass
@@ -54,6 +54,36 @@ def _with(case: FlownSite, **keys: Any) -> FlownSite:
 def _saying(check: FlownCheck, rule: str, verdict: Verdict = Verdict.REFLY) -> FlownCheck:
     finding = Finding(rule, State.FLAG, None, None, "", None, "", f"It is the {rule}.")
     return replace(check, verdict=verdict, findings=(finding,), headline="The headline.")
+
+
+# --- What is asked for ---------------------------------------------------------------------------
+
+
+def test_a_reference_takes_its_part_of_what_f_may_be_off() -> None:
+    alone = cured_sigma_f_percent(0.0)
+    # 1.96 sigma for the check's own doubt and 2.8 for chance within 0.1 %.
+    assert alone * (1.96 + 2.8) == pytest.approx(0.1, rel=1e-3)
+    for reference in (0.005, 0.01, 0.015):
+        assert np.hypot(cured_sigma_f_percent(reference), reference) == pytest.approx(alone)
+    # A poor reference is no reason for endless passes.
+    assert cured_sigma_f_percent(0.05) == pytest.approx(0.6 * alone)
+
+
+def test_the_reference_tells_of_a_pattern_that_a_weak_flight_does_not_show(case: FlownSite) -> None:
+    check = case.check
+
+    def beyond(own_px: float, reference_px: float | None) -> float:
+        network = check.flown.network
+        lens = replace(network.lens, field_px=np.full(24, own_px))
+        flown = replace(check.flown, network=replace(network, lens=lens))
+        known = None if reference_px is None else np.full(24, reference_px)
+        planned = flown_site(replace(check, flown=flown, reference_field_px=known), SiteFile()).planned
+        assert planned.beyond is not None
+        return float(np.sqrt(np.diag(planned.beyond)[-24:].sum()))
+
+    assert beyond(0.0, None) == beyond(0.0, 0.0) == 0.0
+    assert beyond(0.0, 0.02) == pytest.approx(beyond(0.02, None), rel=0.05)
+    assert beyond(0.02, 0.01) == beyond(0.02, None) > 1.02 * beyond(0.01, None)
 
 
 # --- The file --------------------------------------------------------------------------------------
