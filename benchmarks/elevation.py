@@ -97,6 +97,13 @@ def answer(case: Case) -> dict[str, Any] | None:
     return None if trend is None else {"slope": trend.slope, "sigma": trend.sigma, "told": trend.told}
 
 
+def told(pairs: Sequence[tuple[Case, dict[str, Any] | None]]) -> tuple[FloatArray, FloatArray]:
+    """Errors of the slopes that were told (n,), in their own sigmas, and these sigmas (n,)."""
+    said = [(case, found) for case, found in pairs if found is not None and found["told"]]
+    sigmas = np.array([found["sigma"] for _, found in said])
+    return np.array([found["slope"] - case.stretch for case, found in said]) / sigmas, sigmas
+
+
 def table(cases: Sequence[Case], answers: Sequence[dict[str, Any] | None]) -> list[str]:
     """Rows by ground, error and number of points."""
     lines = [
@@ -109,13 +116,12 @@ def table(cases: Sequence[Case], answers: Sequence[dict[str, Any] | None]) -> li
             for case, found in zip(cases, answers, strict=True)
             if (case.ground, case.error, case.references) == (ground, error, references)
         ]
-        told = [(case, found) for case, found in mine if found is not None and found["told"]]
-        head = f"| {ground} | {error} | {references} | {len(told)} of {len(mine)} |"
-        if not told:
+        z, sigmas = told(mine)
+        head = f"| {ground} | {error} | {references} | {len(z)} of {len(mine)} |"
+        if not len(z):
             lines.append(f"{head} - | - | - |")
             continue
-        z = np.array([(found["slope"] - case.stretch) / found["sigma"] for case, found in told])
-        sigma = 100 * float(np.median([found["sigma"] for _, found in told]))
+        sigma = 100 * float(np.median(sigmas))
         beyond = int(np.sum(np.abs(z) > TOO_SMALL))
         lines.append(f"{head} {sigma:.2f} | {np.sqrt(np.mean(z**2)):.2f} | {beyond} |")
     return lines
@@ -123,13 +129,7 @@ def table(cases: Sequence[Case], answers: Sequence[dict[str, Any] | None]) -> li
 
 def overall(cases: Sequence[Case], answers: Sequence[dict[str, Any] | None]) -> str:
     """All told slopes in one sentence."""
-    z = np.array(
-        [
-            (found["slope"] - case.stretch) / found["sigma"]
-            for case, found in zip(cases, answers, strict=True)
-            if found is not None and found["told"]
-        ]
-    )
+    z, _ = told(list(zip(cases, answers, strict=True)))
     return (
         f"{len(z)} of {len(cases)} slopes were told; error over sigma: rms {np.sqrt(np.mean(z**2)):.2f}, "
         f"worst {np.abs(z).max():.1f}; {100 * np.mean(np.abs(z) > TOO_SMALL):.1f} % beyond two sigma "

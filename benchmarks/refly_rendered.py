@@ -23,6 +23,7 @@ from typing import Any
 import numpy as np
 
 from benchmarks.campaign import wilson
+from benchmarks.refly_world import GIMBAL_DEG, MISSING, POSITION_M
 from benchmarks.resumed import asked, read_rows, run_rows
 from calib.frames import LocalFrame
 from calib.reference_file import write_reference_file
@@ -37,8 +38,6 @@ WIDTH = 640
 #: Cameras by name; "corrected": a Phantom 3 that corrects its photos and leaves 1.5 px of no lens model.
 LENSES = ("phantom-3", "phantom-4-pro", "corrected", "inspire-1")
 RELIEFS_M = (2.0, 6.0)
-#: Errors in flying the pass, standard deviations per axis, and the share of its photos that fail.
-POSITION_M, GIMBAL_DEG, MISSING = 2.0, 2.0, 0.05
 WHAT = """
 Surveys straight down from one height, rendered as photos of 640 px width over invented ground, another one
 for each: 12, 18 or 24 photos, three cameras and one that corrects its photos and leaves 1.5 px (at full size)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from multiprocessing.connection import Connection
 from typing import Any, TypeVar
 
-from calib.align.child import end, explain, settle_in, start_quietly
+from calib.align.child import end, error_of, explain, settle_in, start_quietly
 from calib.errors import AlignmentError
 
 T = TypeVar("T")
@@ -70,11 +70,9 @@ def in_process(
     if kind == "done":
         answer: T = content
         return answer
-    if kind == "error":
-        raise content[0](content[1])
     if kind == "memory":
         raise AlignmentError("A computation ran out of memory.")
-    raise RuntimeError("{} in a process of its own:\n{}".format(*content))
+    raise error_of(kind, content, "a process of its own")
 
 
 def _child(work: Callable[..., Any], arguments: tuple[object, ...], pipe: Connection) -> None:

@@ -27,8 +27,7 @@ from daemon.capture.matching import Arrived, Matching, completed
 from daemon.capture.trigger_book import TriggerBook
 from daemon.flight_messages import capture_message, paired_words, verdict_message
 from daemon.live.schemas import Link, Log, Message, Progress, Status
-from daemon.pass_book import PassFinder
-from daemon.refly_offer import FOLDER
+from daemon.pass_book import FLIGHT_FOLDER, PassFinder
 from daemon.session.rows import ClockName, Event, PhotoFile, SolutionRecord, Stamp, VerdictRecord
 from daemon.session.store import Session
 
@@ -194,7 +193,7 @@ class Flight:
         if self._bringer is not None and self._bringer.missing:
             self._say(f"{self._bringer.missing} photos that the camera offers were not fetched.", "warning")
         # Photos of an extra pass are told apart; nothing but this flight's own photos is solved.
-        passes = PassFinder(None, self._session.folder / FOLDER, alone=True)
+        passes = PassFinder(None, self._session.folder / FLIGHT_FOLDER, alone=True)
         found = read_set(
             self._files(), self._reading, lambda photos: passes.complete(self._completed(photos))
         )

@@ -6,6 +6,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 from calib.errors import FieldcalError, InputError, OutputError, PhotoError
 from calib.extra_pass import ExtraPass
@@ -15,10 +16,14 @@ from calib.photos import Photo
 from calib.photos.radiometric import with_levels
 from calib.photos.read import read_photo
 from calib.references import store_folder
-from mission.refly import Refly
 from mission.refly_record import PASS_FILE, PassRecord, pass_record, read_record, record_text
-from mission.refly_taken import Taken, taken
 
+if TYPE_CHECKING:
+    from mission.refly import Refly
+    from mission.refly_taken import Taken
+
+#: Of a flight's own folder: where its pass is written.
+FLIGHT_FOLDER = "refly"
 FOLDER = "passes"
 #: So many passes are kept in the store, the newest.
 KEPT = 20
@@ -68,10 +73,14 @@ class PassFinder:
 
     def complete(self, photos: Sequence[Photo]) -> Sequence[Photo]:
         """The photos, pass and survey marked as one flight; the survey's are added where there are none."""
-        if self.folder is not None:
-            self.found = taken(self._named(self.folder), photos, named=True)
-        else:
-            self.found = _last([t for record in self._records() if (t := taken(record, photos)) is not None])
+        records = self._records() if self.folder is None else [self._named(self.folder)]
+        if not records:
+            return photos
+        # Loaded when it is wanted: a daemon that was killed is to be back soon.
+        from mission.refly_taken import taken
+
+        named = self.folder is not None
+        self.found = _last([t for record in records if (t := taken(record, photos, named)) is not None])
         if self.found is None:
             return photos
         added: list[Photo] = []

@@ -16,7 +16,7 @@ from typing import TYPE_CHECKING
 from calib.errors import FieldcalError, InputError
 from calib.files import output_errors
 from calib.flown_file import NETWORK_FILE, read_network
-from daemon.pass_book import remember
+from daemon.pass_book import FLIGHT_FOLDER, remember
 from daemon.progress import Report, late_line
 from daemon.session.rows import ClockName, Event, Plan, Stamp
 from daemon.session.store import Session
@@ -32,7 +32,7 @@ from mission.site_file import checked, overlaid, read_site_file
 if TYPE_CHECKING:
     from daemon.flight_link import FlightLink
 
-FOLDER, MISSION, SHEET = "refly", "pass.plan", "pass.html"
+MISSION, SHEET = "pass.plan", "pass.html"
 #: The same pass for other programs and aircraft.
 _ALSO = ("pass.waypoints", "pass.kmz", "pass.csv")
 UPLOADED = "refly.uploaded"
@@ -85,10 +85,10 @@ def _find_pass(
         return Pass(why or "The photos have no positions: fly the circle of the report by hand.")
     options = checked({} if launch is None else {"launch": list(launch)}, "the vehicle's home position")
     keys = options if site is None else overlaid(read_site_file(site), options)
-    found = search(flown_site(known, keys, keys.name or FOLDER))
+    found = search(flown_site(known, keys, keys.name or FLIGHT_FOLDER))
     if found.plan is None or found.found is None:
         return Pass(found.reason)
-    folder = session.folder / FOLDER
+    folder = session.folder / FLIGHT_FOLDER
     with output_errors(folder):
         folder.mkdir(exist_ok=True)
     write_refly_sheet(found, folder / SHEET)
@@ -97,7 +97,7 @@ def _find_pass(
         return Pass(f"{found.reason} It may not be flown: {broken[0].message}")
     _write(found, folder, flavour)
     mission = folder / MISSION
-    session.add_plan(Plan(f"{FOLDER}/{MISSION}", mission.read_bytes()))
+    session.add_plan(Plan(f"{FLIGHT_FOLDER}/{MISSION}", mission.read_bytes()))
     fault = remember(found, folder)
     text = f"{found.reason} It is in {folder}." + ("" if fault is None else f" {fault}")
     return Pass(text, len(found.found.stations), mission)

@@ -6,7 +6,7 @@ By it the photos of the pass are known again when they come on a card (:mod:`mis
 from __future__ import annotations
 
 from pathlib import Path
-from typing import Annotated, Final, Literal
+from typing import TYPE_CHECKING, Annotated, Final, Literal
 
 from pydantic import AwareDatetime, BaseModel, ConfigDict, Field, FiniteFloat, ValidationError
 
@@ -16,8 +16,10 @@ from calib.flown_file import SurveyPhoto
 from calib.frames import LocalFrame
 from calib.wording import printable
 from mission.plan import Station
-from mission.refly import Refly
-from mission.refly_search import Found
+
+if TYPE_CHECKING:
+    from mission.refly import Refly
+    from mission.refly_search import Found
 
 PASS_FILE = "pass.json"
 SCHEMA: Final = "fieldcal.pass/1"

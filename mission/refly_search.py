@@ -107,10 +107,12 @@ def criterion_for(planned: PlannedNetwork) -> Criterion:
     axis = planned.network.rotations[:, 2, :]
     tilt = np.degrees(np.arccos(np.clip(-axis[:, 2], -1, 1)))
     oblique = int((tilt >= CONVERGENT_DEG).sum())
-    sigma_f = cured_sigma_f_percent(planned.reference_sigma_f_percent)
-    if 100 * oblique >= CONVERGENT_LIMIT_PERCENT * (len(tilt) + LEAST_CONVERGENT):
-        return Criterion(sigma_f, CURED_DOME_PERCENT)
-    return Criterion(sigma_f, CURED_DOME_PERCENT, max(LEAST_CONVERGENT - oblique, 0) + SPARE_PHOTOS)
+    enough = 100 * oblique >= CONVERGENT_LIMIT_PERCENT * (len(tilt) + LEAST_CONVERGENT)
+    return Criterion(
+        cured_sigma_f_percent(planned.reference_sigma_f_percent),
+        CURED_DOME_PERCENT,
+        0 if enough else max(LEAST_CONVERGENT - oblique, 0) + SPARE_PHOTOS,
+    )
 
 
 def cured_sigma_f_percent(reference_percent: float) -> float:

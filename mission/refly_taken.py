@@ -54,13 +54,13 @@ def taken(record: PassRecord, photos: Sequence[Photo], named: bool = False) -> T
     """
     known = {_key(p) for p in record.survey}
     mine = [p for p in photos if _same_camera(record, p)]
-    survey = tuple(p for p in mine if _key_of(p) in known)
+    survey = tuple(p for p in mine if _key(p) in known)
     times = [p.time for p in record.survey if p.time is not None]
     last = max(times, default=None)
     later = [
         p
         for p in mine
-        if _key_of(p) not in known and (p.time is None or last is None or p.time > last)
+        if _key(p) not in known and (p.time is None or last is None or p.time > last)
     ]  # fmt: skip
     proven = bool(survey) or named
     tried = [Taken(record, one, _photos_of(record, one, later, proven), survey) for one in record.passes]
@@ -79,12 +79,10 @@ def _photos_of(
     return tuple(later[pairs[s]] if s in pairs else None for s in range(len(one.stations)))
 
 
-def _key(photo: SurveyPhoto) -> object:
-    return photo.fingerprint or (photo.path.replace("\\", "/").rsplit("/", 1)[-1].lower(), photo.time)
-
-
-def _key_of(photo: Photo) -> object:
-    return photo.fingerprint or (photo.path.name.lower(), photo.time)
+def _key(photo: SurveyPhoto | Photo) -> object:
+    """The same for the same photo, now and when the survey was checked."""
+    name = str(photo.path).replace("\\", "/").rsplit("/", 1)[-1]
+    return photo.fingerprint or (name.lower(), photo.time)
 
 
 def _same_camera(record: PassRecord, photo: Photo) -> bool:

@@ -25,7 +25,8 @@ from daemon.link.vehicle_mission import mission_differences
 from daemon.live import schemas
 from daemon.live.schemas import Message
 from daemon.mission_file import load
-from daemon.refly_offer import FOLDER, MISSION, SHEET, UPLOADED, Pass, find_pass, offer
+from daemon.pass_book import FLIGHT_FOLDER
+from daemon.refly_offer import MISSION, SHEET, UPLOADED, Pass, find_pass, offer
 from daemon.run_screen import Screen
 from daemon.session.library import finish, reopen, unfinished
 from daemon.session.store import Session
@@ -120,9 +121,9 @@ def test_the_pass_is_uploaded_on_the_word(flavour: Flavour, check: FlownCheck, s
     assert "read back and compared" in here.said[-1]
     (uploaded,) = session.events(UPLOADED)
     assert uploaded.value.data == {"file": MISSION, "photos": here.found.photos}
-    files = {path.name for path in (session.folder / FOLDER).iterdir()}
+    files = {path.name for path in (session.folder / FLIGHT_FOLDER).iterdir()}
     assert {MISSION, SHEET, "pass.waypoints", "pass.kmz"} <= files
-    assert session.plans()[-1].value.content == (session.folder / FOLDER / MISSION).read_bytes()
+    assert session.plans()[-1].value.content == (session.folder / FLIGHT_FOLDER / MISSION).read_bytes()
 
 
 def test_a_vehicle_that_flies_is_waited_for(check: FlownCheck, session: Session) -> None:
@@ -171,7 +172,7 @@ def test_a_reason_where_there_is_no_pass(check: FlownCheck, session: Session, tm
     assert find_pass(session, None, launch, "px4").photos == 0
     (session.folder / NETWORK_FILE).unlink()
     assert "no network" in find_pass(session, None, launch, "px4").text
-    assert not (session.folder / FOLDER / MISSION).exists()
+    assert not (session.folder / FLIGHT_FOLDER / MISSION).exists()
 
 
 def test_a_flight_that_is_reopened_can_be_gone_on_with(session: Session) -> None:

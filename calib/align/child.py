@@ -33,6 +33,8 @@ from calib.flown import FlownNetwork, flown_network
 from calib.photos.photo import Photo
 from calib.solution import Dome, Estimate, Network, Solution
 
+#: Where a defect of the child came up.
+IN_ALIGNMENT = "the alignment process"
 #: Threads inside numerical libraries gain nothing on blocks of this size and fight each other.
 _SINGLE_THREADED = dict.fromkeys(("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"), "1")
 
@@ -222,6 +224,16 @@ def explain(error: Exception) -> tuple[str, Any]:
     return "defect", (type(error).__name__, traceback.format_exc())
 
 
+def error_of(kind: str, content: Any, where: str) -> Exception:
+    """What :func:`explain` told, as an error again; ``where`` a defect came up, in words. Not of "memory"."""
+    if kind == "defect":
+        name, trace = content
+        return RuntimeError(f"{name} in {where}:\n{trace}")
+    error_type, message = content
+    error: Exception = error_type(message)
+    return error
+
+
 def _run_once(job: Job, progress: Progress) -> Outcome | None:
     """One attempt; None when the child died without a word."""
     here, there = multiprocessing.get_context("spawn").Pipe(duplex=False)
@@ -250,12 +262,8 @@ def _run_once(job: Job, progress: Progress) -> Outcome | None:
                 return outcome
             elif kind == "memory":
                 return None
-            elif kind == "defect":
-                name, trace = content
-                raise RuntimeError(f"{name} in the alignment process:\n{trace}")
             else:
-                error_type, message = content
-                raise error_type(message)
+                raise error_of(kind, content, IN_ALIGNMENT)
     finally:
         here.close()
         end(process)

@@ -15,7 +15,16 @@ from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from multiprocessing.context import SpawnProcess
 
-from calib.align.child import Outcome, end, explain, measured, settle_in, start_quietly
+from calib.align.child import (
+    IN_ALIGNMENT,
+    Outcome,
+    end,
+    error_of,
+    explain,
+    measured,
+    settle_in,
+    start_quietly,
+)
 from calib.align.engine import Aligner, Memory, Progress, Settings
 from calib.camera import FloatArray
 from calib.errors import AlignmentError
@@ -245,9 +254,7 @@ class Solver:
             return self._died()
         if kind == "done":
             return self._finish(content[0], None, content[1])
-        if kind == "defect":
-            return self._finish(None, RuntimeError("{} in the alignment process:\n{}".format(*content)))
-        return self._finish(None, content[0](content[1]))
+        return self._finish(None, error_of(kind, content, IN_ALIGNMENT))
 
     def close(self) -> None:
         """End the child."""

@@ -104,10 +104,12 @@ def register(
     values = NO_ERROR
     finest = radius_m or coarse.natural_radius_m
     site = float(np.ptp(reference[on, :2], axis=0).max())
+    enough = len(reference) >= _FEWEST_HALVES
+    others = elevation_from_others(reference) if enough else np.full(len(reference), np.inf)
     radii = [finest * k for k in _LEVELS if finest * k <= max(site / 6, finest)]
     for radius in radii[:-1]:
         sampler = coarse.thinned(radius)
-        values = _fit(values, reference, on, sampler, shift, _COARSE_ROUNDS).values
+        values = _fit(values, reference, others, on, sampler, shift, _COARSE_ROUNDS).values
     reach = 3 * finest + 0.5
     for _ in range(_CUTS):
         places = _moved_xy(values, reference)
@@ -115,7 +117,7 @@ def register(
         if fine is None:
             raise InputError("No reference point lies over the cloud.")
         radius = radius_m or fine.natural_radius_m
-        found = _fit(values, reference, on, fine.thinned(radius), shift, _ROUNDS)
+        found = _fit(values, reference, others, on, fine.thinned(radius), shift, _ROUNDS)
         values = found.values
         if np.linalg.norm(_moved_xy(values, reference) - places, axis=1).max() < reach - radius:
             break
@@ -177,15 +179,17 @@ def _bend(reference: FloatArray, on: BoolArray) -> FloatArray:
 def _fit(
     values: FloatArray,
     reference: FloatArray,
+    others: FloatArray,
     on: BoolArray,
     sampler: Sampler,
     shift: FloatArray,
     rounds: int,
 ) -> _Fit:
-    """Gauss-Newton with outliers left out; slopes' own noise does not count as information."""
+    """Gauss-Newton with outliers left out; slopes' own noise does not count as information.
+
+    ``others`` (n,): elevations of the points from their neighbours alone; infinite where there are too few.
+    """
     bend = _bend(reference, on)
-    enough = len(reference) >= _FEWEST_HALVES
-    others = elevation_from_others(reference) if enough else np.full(len(reference), np.inf)
     state = np.concatenate([values, np.zeros(3)])
     sigmas = np.concatenate([PRIOR_SIGMAS, np.full(3, _BEND_SIGMA_M)])
     start = np.concatenate([NO_ERROR, np.zeros(3)])

@@ -163,7 +163,8 @@ def section(place: Place, seeds: int) -> Section:
             bowls = 100 * np.array([r[model]["dome"][:2] for r in mine])
             clear = int(np.sum(np.abs(bowls[:, 0]) > 1.96 * bowls[:, 1]))
             size = _range(np.abs(bowls[:, 0]), 1)
-            cells += [f"{size} ± {np.median(bowls[:, 1]):.1f}, {clear}", _spread_of(mine, model)]
+            cells.append(f"{size} ± {np.median(bowls[:, 1]):.1f}, {clear}")
+            cells.append(_spread([r[model]["eta_p"] for r in mine], 3))
         told = 100 * np.array([r["plain"]["trend"] for r in mine if r["plain"]["trend_told"]])
         cells.append(
             f"{_range(np.abs(told[:, 0]), 2)} ± {np.median(told[:, 1]):.2f}, {len(told)}"
@@ -185,18 +186,13 @@ def _determined(results: list[dict[str, Any]], index: int, digits: int) -> str:
     values = [r["seven"][index] for r in mine]
     sigma = f"{np.median([r['sigmas'][index] for r in mine]):.{digits + 1}f}"
     some = "" if len(mine) == len(results) else f"; {len(mine)} of {len(results)}"
-    spread = f" ± {np.std(values, ddof=1):.{digits}f}" if len(mine) > 1 else ""
-    return f"{np.mean(values):.{digits}f}{spread} ({sigma}{some})"
+    return f"{_spread(values, digits)} ({sigma}{some})"
 
 
 def _spread(values: Sequence[float], digits: int) -> str:
     if len(values) < 2:
         return f"{values[0]:.{digits}f}"
     return f"{np.mean(values):.{digits}f} ± {np.std(values, ddof=1):.{digits}f}"
-
-
-def _spread_of(results: list[dict[str, Any]], model: str) -> str:
-    return _spread([r[model]["eta_p"] for r in results], 3)
 
 
 def _range(sizes: Sequence[float] | FloatArray, digits: int) -> str:

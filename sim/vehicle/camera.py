@@ -6,9 +6,9 @@ import math
 import random
 from dataclasses import dataclass, field
 
-from sim.vehicle.motion import Body, Place
+from sim.vehicle.motion import Body
 from sim.vehicle.options import VehicleOptions
-from sim.vehicle.receiver import Receiver
+from sim.vehicle.receiver import Place, Receiver
 
 
 @dataclass(frozen=True)
@@ -53,9 +53,8 @@ class Camera:
         if self.rng.random() < self.miss_share:
             return None
         first = 1 if self.options.flavour == "ardupilot" else 0
-        east, north, up = (true + error for true, error in zip(body.at_m, receiver.error_m, strict=True))
         photo = PhotoTaken(
-            *(self.counted + first, now_s, utc_s, body.at_m, (east, north, up)),
+            *(self.counted + first, now_s, utc_s, body.at_m, receiver.told_m(body.at_m)),
             *(body.yaw_deg, body.gimbal_pitch_deg, -body.lean_deg, body.roll_deg),
             receiver.jumped,
         )

@@ -8,8 +8,7 @@ from dataclasses import dataclass, field
 
 from sim.vehicle.air import GRAVITY_M_S2, LEAN_DEG_S_M, Air
 from sim.vehicle.options import VehicleOptions
-
-Place = tuple[float, float, float]
+from sim.vehicle.receiver import Place, plus
 
 
 @dataclass
@@ -47,16 +46,16 @@ class Body:
 
     @property
     def at_m(self) -> Place:
-        return _sum(self.track_m, self.air.sway_m)
+        return plus(self.track_m, self.air.sway_m)
 
     @property
     def believed_m(self) -> Place:
-        return _sum(self.at_m, self.error_m)
+        return plus(self.at_m, self.error_m)
 
     @property
     def velocity_m_s(self) -> Place:
         along = (self.way[0] * self.speed_m_s, self.way[1] * self.speed_m_s, self.way[2] * self.speed_m_s)
-        return _sum(along, self.air.sway_m_s)
+        return plus(along, self.air.sway_m_s)
 
     @property
     def arrived(self) -> bool:
@@ -135,7 +134,3 @@ class Body:
 def turn_deg(from_deg: float, to_deg: float) -> float:
     """The shorter way round, -180 to 180."""
     return (to_deg - from_deg + 180) % 360 - 180
-
-
-def _sum(one: Place, other: Place) -> Place:
-    return (one[0] + other[0], one[1] + other[1], one[2] + other[2])

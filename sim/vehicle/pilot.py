@@ -16,8 +16,9 @@ import numpy as np
 from mission.encode import Item
 from mission.encode import constants as mav
 from sim.vehicle.camera import Camera
-from sim.vehicle.motion import Body, Place, turn_deg
+from sim.vehicle.motion import Body, turn_deg
 from sim.vehicle.options import VehicleOptions
+from sim.vehicle.receiver import Place
 from sim.vehicle.storage import NAVIGATION, PLACED
 
 RETURN_HEIGHT_M = {"ardupilot": 15.0, "px4": 30.0}
@@ -138,9 +139,7 @@ class Pilot:
 
     def switched_off(self) -> None:
         """In flight, and on again: it stands still meanwhile, and goes on with what it was at."""
-        if not self.flying:
-            return
-        if self._legs:
+        if not self.flying or self._legs:
             return
         self.body.hold()
         if self.mode is Mode.MISSION and self.stage is MissionStage.ACTIVE:

@@ -20,6 +20,11 @@ _USUAL_M = (1.5, 2.5)
 Place = tuple[float, float, float]
 
 
+def plus(one: tuple[float, ...], other: tuple[float, ...]) -> Place:
+    """One place or way and another."""
+    return (one[0] + other[0], one[1] + other[1], one[2] + other[2])
+
+
 @dataclass(frozen=True)
 class Gnss:
     """Errors in m on each horizontal axis, :data:`VERTICAL` times that in height.
@@ -71,6 +76,10 @@ class Receiver:
         """Whether its place is away now."""
         return any(self._jump_m)
 
+    def told_m(self, at_m: Place) -> Place:
+        """Where a vehicle that is at ``at_m`` says that it is."""
+        return plus(at_m, self.error_m)
+
     def step(self, dt_s: float) -> None:
         gnss = self.gnss
         self._now_s += dt_s
@@ -78,20 +87,20 @@ class Receiver:
             return
         if self._now_s < self._next_fix_s:
             return
-        passed_s, self._next_fix_s = FIX_S, self._now_s + FIX_S - 1e-9
-        kept = math.exp(-passed_s / DRIFT_S)
+        self._next_fix_s = self._now_s + FIX_S - 1e-9
+        kept = math.exp(-FIX_S / DRIFT_S)
         fresh = self._normal(gnss.drift_m * math.sqrt(1 - kept * kept))
-        self._drift_m = _sum(tuple(kept * one for one in self._drift_m), fresh)
-        self._jump(passed_s)
-        self.bias_m = _sum(self._drift_m, self._jump_m)
-        self.error_m = _sum(self.bias_m, self._normal(gnss.noise_m))
+        self._drift_m = plus(tuple(kept * one for one in self._drift_m), fresh)
+        self._jump()
+        self.bias_m = plus(self._drift_m, self._jump_m)
+        self.error_m = plus(self.bias_m, self._normal(gnss.noise_m))
 
-    def _jump(self, passed_s: float) -> None:
+    def _jump(self) -> None:
         if self._now_s < self._jump_until_s:
             return
         self._jump_m = (0.0, 0.0, 0.0)
         every_s = self.gnss.jump_every_s
-        if every_s is not None and self.rng.random() < passed_s / every_s:
+        if every_s is not None and self.rng.random() < FIX_S / every_s:
             size, course = self.rng.uniform(*JUMP_M), self.rng.uniform(0, 2 * math.pi)
             up = self.rng.uniform(-0.5, 0.5) * size
             self._jump_m = (size * math.sin(course), size * math.cos(course), up)
@@ -103,7 +112,3 @@ class Receiver:
             return (0.0, 0.0, 0.0)
         gauss = self.rng.gauss
         return (gauss(0, sigma_m), gauss(0, sigma_m), gauss(0, VERTICAL * sigma_m))
-
-
-def _sum(one: tuple[float, ...], other: tuple[float, ...]) -> Place:
-    return (one[0] + other[0], one[1] + other[1], one[2] + other[2])

@@ -12,10 +12,10 @@ import numpy as np
 from mission.encode import Item
 from sim.vehicle.camera import PhotoTaken
 from sim.vehicle.dialect import MavMessage, mavlink
-from sim.vehicle.motion import Body, Place
+from sim.vehicle.motion import Body
 from sim.vehicle.options import VehicleOptions
 from sim.vehicle.pilot import MissionStage, Mode, Pilot
-from sim.vehicle.receiver import Receiver
+from sim.vehicle.receiver import Place, Receiver
 
 _COPTER_MODES = {
     **{Mode.MANUAL: 0, Mode.HOLD: 5, Mode.GUIDED: 4, Mode.MISSION: 3, Mode.RETURN: 6, Mode.LAND: 9},
@@ -159,7 +159,7 @@ class Telemetry:
         )
 
     def _position(self, now_s: float) -> MavMessage:
-        told_m = self._told_m
+        told_m = self.receiver.told_m(self.body.at_m)
         x, y, altitude = self.place(told_m)
         east, north, up = self.body.velocity_m_s
         return mavlink.MAVLink_global_position_int_message(
@@ -168,14 +168,8 @@ class Telemetry:
             round(self.body.yaw_deg * 100) % 36000,
         )
 
-    @property
-    def _told_m(self) -> Place:
-        """The vehicle's place as its estimate has it: the receiver's error and all."""
-        east, north, up = (a + b for a, b in zip(self.body.at_m, self.receiver.error_m, strict=True))
-        return (east, north, up)
-
     def _gps(self, now_s: float) -> MavMessage:
-        x, y, altitude = self.place(self._told_m)
+        x, y, altitude = self.place(self.receiver.told_m(self.body.at_m))
         stated = [round(1e3 * value) for value in self.receiver.gnss.stated_m]
         if not self.receiver.gnss.accuracies:
             stated = [0, 0]
