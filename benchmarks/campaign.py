@@ -125,7 +125,7 @@ def score(case: Case) -> Score:
         plain_sigma_percent=100 * float(np.sqrt(plain.covariance[0, 0])) / truth.f_px,
         factor=found.correlation_factor,
         spread_percent=100 * found.spread_f_px / truth.f_px,
-        rolls=calibrated.adjustment.priors.shutter_sigma_m is not None,
+        rolls=calibrated.adjustment.priors.way_information is not None,
         cpu_s=time.process_time() - started,
     )
 

@@ -46,6 +46,7 @@ FACTORS: dict[str, dict[str, int]] = {
         "pattern 1.5 px": 1,
         "correlated 0.3 px": 1,
     },
+    "shutter": {"known to be mechanical": 1, "nothing known": 1},
 }
 TWO_GRIDS = ("nadir, two heights", "cross-hatch nadir")
 HEIGHTS_M = (40.0, 60.0, 80.0, 100.0, 120.0)
@@ -75,6 +76,12 @@ class LoopCase:
     def lens(self) -> str:
         """Name of the reference calibration that the true lens is like."""
         return "dji-phantom-3-professional" if self.area_ha >= 50 else self.level("lens")
+
+    @property
+    def model(self) -> str:
+        """The camera's name in the files: one that is known to have no rolling shutter, or another."""
+        mechanical = self.level("shutter") == "known to be mechanical"
+        return "FC6310" if mechanical and self.level("error") != "rolling shutter" else "FC300X"
 
     @property
     def area_ha(self) -> float:

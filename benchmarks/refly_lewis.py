@@ -116,6 +116,7 @@ def _part_of(priors: Priors, index: list[int]) -> Priors:
         centre_sigma_m=priors.centre_sigma_m[index],
         rotations=priors.rotations[index],
         rotation_sigma_rad=priors.rotation_sigma_rad[index],
+        way_information=None,
     )
 
 

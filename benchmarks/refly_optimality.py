@@ -88,7 +88,7 @@ def check_of(block: SimBlock, noise_px: float, height_m: float) -> FlownCheck:
     jacobian = fit_brown(lens)[1]
     covariance = jacobian @ information.covariance @ jacobian.T
     return FlownCheck(
-        kept, Verdict.REFLY, "", (), "P3P", lens.brown, covariance, math.sqrt(covariance[0, 0]),
+        kept, Verdict.REFLY, "", (), "DJI FC6310", lens.brown, covariance, math.sqrt(covariance[0, 0]),
         float(information.functional_sigma[0]), height_m, (50.8, -0.1, 0.0), 0.0,
         tuple(str(i) for i in range(k)),
     )  # fmt: skip

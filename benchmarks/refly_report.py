@@ -149,7 +149,7 @@ def report(scores: Sequence[LoopScore], text: str) -> str:
         "## By what disturbs",
         "",
     ]
-    for factor in ("error", "matching", "tie points", "noise", "pattern", "relief", "gps", "lens"):
+    for factor in ("error", "shutter", "matching", "tie points", "noise", "pattern", "relief", "gps", "lens"):
         lines += by_factor(asked, factor)
     lines += ["## What is left", "", *left(asked)]
     return "\n".join(lines)

@@ -10,6 +10,7 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.refly_cases import LoopCase, generator, loop_case
 from benchmarks.refly_world import World, flown, world_of
@@ -32,6 +33,8 @@ from mission.timing import timing
 from sim.network import SimBlock
 from sim.solution import identity_of, outcome_of
 
+#: Numbers of the passes of a flight; those that people fly come after it.
+OFFERED = 1
 #: What people fly: an orbit as high as the survey, of so many photos, so far off nadir.
 ORBIT_PHOTOS, ORBIT_TILT_DEG = (8, 10, 12), 35.0
 
@@ -108,7 +111,7 @@ def score(case: LoopCase) -> LoopScore:
     world = world_of(case)
     block = world.seen()
     held = reference_of(world.verdict_case, block)
-    before, result = checked(block, case.number, held)
+    before, result = checked(block, case, held)
     photos, height = len(block.centres_m), float(np.median(block.centres_m[:, 2]))
 
     def scored(reason: str, found: Passes = (None, None, None), refly_s: float = 0.0) -> LoopScore:
@@ -135,12 +138,16 @@ def score(case: LoopCase) -> LoopScore:
     return scored(answer.reason, (offered, *_usual(world, site, held)), refly_s)
 
 
-def checked(block: SimBlock, seed: int, held: TrueReference) -> tuple[Checked, CheckResult | None]:
-    """The field check on what was seen."""
+def checked(
+    block: SimBlock, case: LoopCase, held: TrueReference, standing: NDArray[np.bool_] | None = None
+) -> tuple[Checked, CheckResult | None]:
+    """The field check on what was seen; ``standing`` (k,): photos that it knows were taken standing."""
     truth = block.lens.brown
-    nominal = truth.f_px * (1 + 0.04 * float(np.random.default_rng([seed, 25]).uniform(-1, 1)))
+    nominal = truth.f_px * (1 + 0.04 * float(np.random.default_rng([case.number, 25]).uniform(-1, 1)))
     try:
-        outcome, calibrated = outcome_of(block, nominal, seed, held.reference, identity_of(block))
+        outcome, calibrated = outcome_of(
+            block, nominal, case.number, held.reference, identity_of(block, model=case.model), standing
+        )
     except AlignmentError as error:
         return Checked(NO_RESULT, str(error)), None
     result = conclude(outcome, (), held.reference, held.note, Timing(0.0, 0.0, 0.0))
@@ -174,7 +181,7 @@ def _offered(world: World, site: FlownSite, answer: Refly, held: TrueReference) 
     found = answer.found
     assert found is not None
     return _flown(
-        world, site, found.stations, 1, held, answer.duration_s,
+        world, site, found.stations, OFFERED, held, answer.duration_s,
         (found.worth.sigma_f_percent, found.worth.dome_percent), answer.cures,
     )  # fmt: skip
 
@@ -211,7 +218,9 @@ def _flown(
     promised: bool,
 ) -> Flown:
     flight = flown(world, stations, site.site.frame, number)
-    check, _ = checked(world.seen((number, flight)), world.case.number, held)
+    # The photos of the recommended pass are known again, and how they were taken.
+    later = np.arange(len(world.survey) + len(flight)) >= len(world.survey)
+    check, _ = checked(world.seen((number, flight)), world.case, held, later if number == OFFERED else None)
     return Flown(len(stations), len(flight), seconds, *worth, promised, check)
 
 

@@ -8,7 +8,8 @@ import numpy as np
 
 from calib.align.adjust import Adjustment, State
 from calib.align.dome import aligned_difference_m, dome_amplitude_m
-from calib.align.selfcal import SHUTTER_WAY, Calibrated
+from calib.align.readout import way_information
+from calib.align.selfcal import Calibrated
 from calib.align.tracks import select
 from calib.brownfit import fit_brown
 from calib.camera import FloatArray
@@ -59,7 +60,8 @@ def ideal_sigma_f_percent(
     shutter = None
     if block.readout_s > 0:
         distance = np.linalg.norm(block.points_m[obs.point] - block.centres_m[obs.photo], axis=1)
-        priors = replace(priors, shutter_sigma_m=SHUTTER_WAY * float(np.median(distance)))
+        ways = way_information(block.centres_m, float(np.median(distance)))
+        priors = replace(priors, way_information=ways)
         shutter = block.velocity_m_s * block.readout_s
     truth = State(block.lens, block.rotations_cam_from_world, block.centres_m, block.points_m[old], shutter)
     free = calibrated.adjusted.free

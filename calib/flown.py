@@ -68,7 +68,7 @@ def flown_network(block: Calibrated, correlation_factor: float) -> FlownNetwork:
     priors = adjustment.priors
     known = Known(
         priors.centre_sigma_m, priors.rotation_sigma_rad, priors.lens_sigma, adjusted.free,
-        priors.shutter_sigma_m,
+        priors.way_information,
     )  # fmt: skip
     views = CameraNetwork(
         state.lens, state.rotations, state.centres_m, state.points_m, obs.photo[good], obs.point[good],

@@ -53,7 +53,9 @@ _SHAPES = {
 _OPTIONAL = {
     "reference_covariance": (len(LENS_NAMES), len(LENS_NAMES)),
     "reference_field_px": (len(FIELD_NAMES),),
+    "way_information": ("k", 3, 3),
 }
+_WAYS: Final = "way_information"
 #: What reading a damaged file may end in; a flipped bit may ask for a password (RuntimeError).
 _DAMAGE = (ValueError, KeyError, EOFError, OSError, RuntimeError, zipfile.BadZipFile, zlib.error)
 _MAY_BE_INFINITE = ("centre_sigma_m", "rotation_sigma_rad", "lens_sigma")
@@ -137,7 +139,7 @@ class _About(_Part):
     launch_up_m: FiniteFloat | None
     photos: tuple[str, ...]
     geotag_fault: str | None
-    #: Networks written before there was one have none.
+    #: Of networks written when a way was as open in every direction; they have no ``way_information``.
     shutter_sigma_m: Positive | None = None
     #: Networks written before passes were recognised have none.
     files: tuple[SurveyPhoto, ...] = ()
@@ -208,11 +210,12 @@ def network_bytes(check: FlownCheck) -> bytes:
         launch_up_m=check.launch_up_m,
         photos=tuple(printable(name) for name in check.photos),
         geotag_fault=None if check.geotag_fault is None else printable(check.geotag_fault),
-        shutter_sigma_m=known.shutter_sigma_m,
         files=check.files,
     )
     text = about.model_dump_json(by_alias=True)
-    optional = {name: array for name in _OPTIONAL if (array := getattr(check, name)) is not None}
+    optional = {name: array for name in _OPTIONAL if (array := getattr(check, name, None)) is not None}
+    if known.way_information is not None:
+        optional[_WAYS] = known.way_information
     out = io.BytesIO()
     np.savez_compressed(
         out,
@@ -284,6 +287,16 @@ def _arrays(data: bytes) -> dict[str, FloatArray]:
     return found
 
 
+def _ways(arrays: dict[str, FloatArray], about: _About, k: int) -> FloatArray | None:
+    """``Known.way_information``; ValueError where it is none."""
+    if about.shutter_sigma_m is not None:
+        return np.tile(np.eye(3) / about.shutter_sigma_m**2, (k, 1, 1))
+    ways = arrays.get(_WAYS)
+    if ways is not None and not (np.linalg.eigvalsh(ways).min() > 0):
+        raise ValueError("ways that are known to no sigma")
+    return ways
+
+
 def _made(arrays: dict[str, FloatArray], about: _About) -> FlownCheck:
     """The values of the file, put together; ValueError where they contradict each other."""
     a = arrays
@@ -305,7 +318,7 @@ def _made(arrays: dict[str, FloatArray], about: _About) -> FlownCheck:
         a["rotation_sigma_rad"].astype(float),
         a["lens_sigma"],
         a["free"].astype(bool),
-        about.shutter_sigma_m,
+        _ways(a, about, k),
     )
     return FlownCheck(
         flown=FlownNetwork(network, known, about.noise_px, about.stands_for, about.matched_share),
@@ -322,6 +335,6 @@ def _made(arrays: dict[str, FloatArray], about: _About) -> FlownCheck:
         launch_up_m=about.launch_up_m,
         photos=about.photos,
         geotag_fault=about.geotag_fault,
-        **{name: a.get(name) for name in _OPTIONAL},
+        **{name: a.get(name) for name in _OPTIONAL if name != _WAYS},
         files=about.files,
     )

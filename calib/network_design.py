@@ -30,28 +30,32 @@ class Known:
     """What is known besides the images, as standard deviations; infinite: nothing.
 
     centre_sigma_m (k, 3), rotation_sigma_rad (k,), lens_sigma (35,) over ``LENS_NAMES``; ``free``
-    (35,): lens parameters that are estimated. ``shutter_sigma_m``: way of each camera while its rows are
-    read, three more unknowns of a photo; None: global shutter.
+    (35,): lens parameters that are estimated. ``way_information`` (k, 3, 3): inverse covariance of the way
+    of each camera while its rows are read, three more unknowns of a photo, 1/m2; None: global shutter.
     """
 
     centre_sigma_m: FloatArray
     rotation_sigma_rad: FloatArray
     lens_sigma: FloatArray
     free: BoolArray
-    shutter_sigma_m: float | None = None
+    way_information: FloatArray | None = None
 
     @property
     def per_photo(self) -> int:
         """Unknowns of a photo: 6, or 9 with a rolling shutter."""
-        return 6 if self.shutter_sigma_m is None else 9
+        return 6 if self.way_information is None else 9
 
     @property
     def pose_information(self) -> FloatArray:
-        """(k, 6 or 9): rotation, centre, way during the readout."""
-        parts = [np.repeat(self.rotation_sigma_rad[:, None], 3, axis=1), self.centre_sigma_m]
-        if self.shutter_sigma_m is not None:
-            parts.append(np.full((len(self.centre_sigma_m), 3), self.shutter_sigma_m))
-        return np.concatenate(parts, axis=1) ** -2.0
+        """(k, p, p), p 6 or 9: rotation, centre, way during the readout."""
+        each = self.per_photo
+        found = np.zeros((len(self.centre_sigma_m), each, each))
+        axes = np.arange(3)
+        found[:, axes, axes] = self.rotation_sigma_rad[:, None] ** -2.0
+        found[:, axes + 3, axes + 3] = self.centre_sigma_m**-2.0
+        if self.way_information is not None:
+            found[:, 6:, 6:] = self.way_information
+        return found
 
 
 @dataclass(frozen=True)
@@ -266,8 +270,8 @@ class _Sweep:
         here, there = slice(old), slice(old + new, size)
         front[here, here], front[here, there] = self.front[:old, :old], self.front[:old, old:]
         front[there, here], front[there, there] = self.front[old:, :old], self.front[old:, old:]
-        axes = old + np.arange(new)
-        front[axes, axes] = self.prior[photos].ravel()
+        at = old + self.each * np.arange(len(photos))[:, None] + np.arange(self.each)
+        front[at[:, :, None], at[:, None, :]] = self.prior[photos]
         self.front, self.abreast = front, np.concatenate([self.abreast, photos])
 
     def take_in(self, points: IntArray) -> None:
@@ -290,7 +294,7 @@ class _Sweep:
             net.centres_m[photo],
             net.points_m[net.point[rows]],
             net.sigma_px[rows],
-            shutter=self.known.shutter_sigma_m is not None,
+            shutter=self.known.way_information is not None,
         )
         by_lens = by_lens[:, :, self.known.free]
         q, p, each = by_lens.shape[2], len(points), self.each

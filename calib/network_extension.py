@@ -219,7 +219,7 @@ def _points_in(
         network.centres_m[photo],
         network.points_m[network.point[rows]],
         network.sigma_px[rows],
-        shutter=known.shutter_sigma_m is not None,
+        shutter=known.way_information is not None,
     )
     each = known.per_photo
     slot = np.full(len(network.centres_m), -1)
@@ -245,16 +245,19 @@ def photo_rows(
     points: IntArray,
     sigma_px: FloatArray,
     pose_sigma: tuple[float, float] = (np.inf, np.inf),
+    way_information: FloatArray | None = None,
 ) -> PhotoRows:
     """A photo that sees ``points`` (n,) of ``joint``, each with ``sigma_px`` (n,).
 
     Args:
         pose_sigma: prior of its attitude (rad) and of its position (m).
+        way_information: (3, 3), inverse covariance of its way during the readout; None: global shutter.
     """
     several = np.zeros(len(points), np.intp)
     return rows_of_photos(
-        joint, lens, known, rotation[None], centre_m[None], several, points, sigma_px, pose_sigma
-    )[0]
+        joint, lens, known, rotation[None], centre_m[None], several, points, sigma_px, pose_sigma,
+        way_information,
+    )[0]  # fmt: skip
 
 
 def rows_of_photos(
@@ -267,6 +270,7 @@ def rows_of_photos(
     point: IntArray,
     sigma_px: FloatArray,
     pose_sigma: tuple[float, float] = (np.inf, np.inf),
+    way_information: FloatArray | None = None,
 ) -> list[PhotoRows]:
     """:func:`photo_rows` of k photos at once, from their views: photo, point, sigma_px (n,), by photo."""
     by_pose, by_lens, by_point = view_derivatives(
@@ -275,10 +279,11 @@ def rows_of_photos(
         centres_m[photo],
         joint.points_m[point],
         sigma_px,
-        shutter=known.shutter_sigma_m is not None,
+        shutter=way_information is not None,
     )
-    prior = [*pose_sigma] if known.shutter_sigma_m is None else [*pose_sigma, known.shutter_sigma_m]
-    of_pose = np.diag(1 / np.repeat(prior, 3))
+    of_pose = np.diag(1 / np.repeat(pose_sigma, 3))
+    if way_information is not None:
+        of_pose = scipy.linalg.block_diag(of_pose, np.linalg.cholesky(way_information).T)
     by_lens = by_lens[:, :, known.free]
     ends = np.searchsorted(photo, np.arange(len(rotations) + 1))
     return [

@@ -87,7 +87,11 @@ class PassFinder:
         if not self.found.survey and not self.alone:
             added = self._survey(self.found.record.survey)
         one = {p.path for p in (*self.found.photos, *self.found.survey, *added) if p is not None}
-        return [replace(p, joined=True) if p.path in one else p for p in with_levels([*photos, *added])]
+        stood = {p.path for p in self.found.photos if p is not None}
+        return [
+            replace(p, joined=True, standing=p.path in stood) if p.path in one else p
+            for p in with_levels([*photos, *added])
+        ]
 
     @property
     def extra_pass(self) -> ExtraPass | None:

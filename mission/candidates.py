@@ -210,7 +210,7 @@ class Candidates:
         sigma = given.sigma_px / np.sqrt(ground.stands_for * np.concatenate(weights))
         made = rows_of_photos(
             joint, planned.network.lens, planned.known, rotations, centres, photo[rows], point[rows], sigma,
-            pose_sigma,
+            pose_sigma, planned.new_way_information,
         )  # fmt: skip
         for mine in views:
             i = int(photo[mine[0]])

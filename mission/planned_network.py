@@ -13,6 +13,7 @@ from scipy.spatial import cKDTree
 from shapely import Polygon
 
 from calib.align.rays import ray_angle_deg
+from calib.align.readout import standing_information
 from calib.align.rotations import rotation_exp
 from calib.align.selfcal import BASIC, LEAST_ANGLE_DEG, lens_priors, mask
 from calib.brownfit import fit_brown
@@ -87,6 +88,11 @@ class PlannedNetwork:
     beyond: FloatArray | None = None
     own_share: float = 1.0
     reference: FloatArray | None = None
+
+    @property
+    def new_way_information(self) -> FloatArray | None:
+        """Of a photo that is added, which is taken standing: as in ``Known.way_information``, (3, 3)."""
+        return None if self.known.way_information is None else standing_information(self.height_agl_m)
 
     def worth(self, head: FloatArray) -> tuple[float, float]:
         """Sigma f in percent and dome sigma in percent of the height, model error included.

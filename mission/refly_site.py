@@ -8,12 +8,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 import shapely
 from scipy.interpolate import LinearNDInterpolator, NearestNDInterpolator
-from scipy.special import chdtrc
 from shapely import Polygon
 
 from calib.align.adjust import Priors
 from calib.align.georeference import DEFAULT_SIGMA_M
-from calib.align.selfcal import BASIC, SHUTTER_P, SHUTTER_WAY, mask
+from calib.align.readout import way_information
+from calib.align.selfcal import BASIC, mask
 from calib.align.uncertainty import beyond_field
 from calib.brownfit import fit_brown
 from calib.camera import BROWN_NAMES, FloatArray
@@ -22,8 +22,10 @@ from calib.field import Lens
 from calib.flown import FlownNetwork
 from calib.flown_file import FlownCheck
 from calib.frames import LocalFrame
+from calib.limits import Z95
 from calib.network_design import dome_functional, lens_information
 from calib.network_views import SIMULATED, nearest_view_deg
+from calib.shutter import shows_no_readout
 from mission.planned_network import Assumptions, PlannedNetwork
 from mission.site import Site
 from mission.site_build import site_of, terrain_of
@@ -132,8 +134,8 @@ def flown_site(check: FlownCheck, keys: SiteFile, name: str = "refly") -> FlownS
     area = hull if isinstance(hull, Polygon) else hull.buffer(0.3 * check.height_agl_m)
     if hidden_shutter(check):
         notes.append(
-            "The pixels seem not to be square: perhaps the camera reads its rows one after the other while "
-            "it moves. The pass allows for that."
+            "These photos do not show whether the camera reads its rows one after the other while it moves "
+            "(a rolling shutter). The pass allows for that."
         )
     frame = LocalFrame(latitude, longitude)
     terrain = (
@@ -164,19 +166,18 @@ def _launch_up_m(check: FlownCheck, at_m: FloatArray, notes: list[str], given: b
 
 
 def hidden_shutter(check: FlownCheck) -> bool:
-    """Whether a rolling shutter may hide in the affinity: pixels are square.
+    """Whether a rolling shutter may hide in the affinity: it is not shown that the pixels are square.
 
     Where all lines are flown the same way in the image, the way during the readout stretches every photo
     alike. Photos from aside tell the two apart, and the check then asks for the way of every single photo.
+    Cameras that are known to have none are believed.
     """
-    if check.flown.known.shutter_sigma_m is not None:
+    if check.flown.known.way_information is not None or shows_no_readout(check.camera_name):
         return False
     at = [BROWN_NAMES.index(name) for name in ("b1", "b2")]
-    affinity = check.brown.vector[at]
-    if float(np.linalg.norm(affinity)) < OUT_OF_SQUARE * check.brown.f_px:
-        return False
-    size = float(affinity @ np.linalg.solve(check.brown_covariance[np.ix_(at, at)], affinity))
-    return float(chdtrc(2, size)) < SHUTTER_P
+    affinity = float(np.linalg.norm(check.brown.vector[at]))
+    sigma = math.sqrt(float(np.linalg.eigvalsh(check.brown_covariance[np.ix_(at, at)])[-1]))
+    return affinity + Z95 * sigma > OUT_OF_SQUARE * check.brown.f_px
 
 
 def _with_its_pattern(lens: Lens, check: FlownCheck) -> Lens:
@@ -192,14 +193,16 @@ def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
     lens = flown.network.lens
     # With more photos more parameters are significant: the pass has to serve all of them.
     free = mask((*BASIC, "k3", "p1", "p2", "b1", "b2"), field=True)
-    shutter_m = SHUTTER_WAY * check.height_agl_m if hidden_shutter(check) else flown.known.shutter_sigma_m
+    ways = flown.known.way_information
+    if hidden_shutter(check):
+        ways = way_information(flown.network.centres_m, check.height_agl_m)
     # Precise positions that contradict the images are dropped, perhaps only when the pass is there to show
     # it: the images have to do without them.
     known = replace(
         flown.known,
         free=free,
         centre_sigma_m=np.maximum(flown.known.centre_sigma_m, DEFAULT_SIGMA_M),
-        shutter_sigma_m=shutter_m,
+        way_information=ways,
     )
     functionals = dome_functional(flown.network.points_m)[None]
     gradient = fit_brown(lens)[1][0]

@@ -8,6 +8,9 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
+from numpy.typing import NDArray
+
 from calib.align.child import Outcome, measured
 from calib.align.georeference import place, read_tags
 from calib.align.selfcal import Calibrated
@@ -69,6 +72,7 @@ def outcome_of(
     seed: int,
     reference: Reference | None,
     camera: CameraIdentity | None = None,
+    standing: NDArray[np.bool_] | None = None,
 ) -> tuple[Outcome, Calibrated]:
     """Self-calibrate a simulated survey and measure all that the verdict rests on.
 
@@ -76,11 +80,12 @@ def outcome_of(
         nominal_f_px: focal length that the files state.
         seed: of the start.
         reference: to hold the dome against; for the images' size.
+        standing: (k,) photos that are known to be taken standing; None: none.
 
     Raises:
         AlignmentError: too few observations survive.
     """
-    calibrated = calibrate_block(block, nominal_f_px, seed)
+    calibrated = calibrate_block(block, nominal_f_px, seed, standing)
     solution = solution_of(block, calibrated, camera)
     if reference is None:
         return measured(solution, calibrated, None), calibrated

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib.align.adjust import Priors, State
 from calib.align.georeference import GIMBAL_SIGMA_DEG, LEAST_SIGMA_M
@@ -38,14 +39,18 @@ def start_of(block: SimBlock, nominal_f_px: float, seed: int, points_sigma_m: fl
     return State(ideal, block.gimbal_cam_from_world, block.gps_m, block.points_m + wrong)
 
 
-def calibrate_block(block: SimBlock, nominal_f_px: float, seed: int) -> Calibrated:
+def calibrate_block(
+    block: SimBlock, nominal_f_px: float, seed: int, standing: NDArray[np.bool_] | None = None
+) -> Calibrated:
     """Self-calibrate a simulated survey as an alignment of its photos would.
 
     Args:
         nominal_f_px: focal length that the files state; the adjustment starts there.
         seed: of the ground points' errors at the start.
+        standing: (k,) photos that are known to be taken standing; None: none.
 
     Raises:
         AlignmentError: too few observations survive.
     """
-    return calibrate(block.observations, start_of(block, nominal_f_px, seed), priors_of(block, nominal_f_px))
+    start, priors = start_of(block, nominal_f_px, seed), priors_of(block, nominal_f_px)
+    return calibrate(block.observations, start, priors, standing=standing)

@@ -26,6 +26,7 @@ from calib.align.dome import aligned_difference_m
 from calib.align.grow import lens_mask
 from calib.align.normal import Topology
 from calib.align.rays import ray_angle_deg, triangulate
+from calib.align.readout import WAY, way_information
 from calib.align.rotations import rotation_exp, rotation_log, similarity_tangent
 from calib.camera import BrownCamera, FloatArray
 from calib.field import LENS_NAMES, Lens
@@ -119,7 +120,7 @@ def brute_force(
     """
     priors = adjustment.priors
     k, m, p = len(state.centres_m), len(state.points_m), int(free.sum())
-    q = 6 if priors.shutter_sigma_m is None else 9
+    q = 6 if priors.way_information is None else 9
     steps = np.where(np.isin(np.arange(35), [0, 1, 2, 9, 10]), 1e-2, 1e-6)[free]
     sizes = np.concatenate([steps, np.tile([1e-6] * 3 + [1e-4] * (q - 3), k), np.full(3 * m, 1e-4)])
 
@@ -139,7 +140,10 @@ def brute_force(
         )
         known = np.isfinite(priors.lens_sigma)
         lens = (priors.lens_mean - lens_vector)[known] / priors.lens_sigma[known]
-        shutter = np.zeros(0) if way is None else way.ravel() / (priors.shutter_sigma_m or 1.0)
+        shutter = np.zeros(0)
+        if way is not None and priors.way_information is not None:
+            roots = np.linalg.cholesky(priors.way_information)
+            shutter = np.einsum("kji,kj->ki", roots, way).ravel()
         return np.concatenate([image.ravel(), position.ravel(), attitude.ravel(), lens, shutter])
 
     columns = []
@@ -157,14 +161,14 @@ def brute_force(
     return covariance[:p, :p], response[q * k :].reshape(m, 3, p)
 
 
-@pytest.mark.parametrize("shutter_sigma_m", [None, 0.3])
-def test_covariance_and_response_are_those_of_the_whole_normal_matrix(shutter_sigma_m: float | None) -> None:
+@pytest.mark.parametrize("moving", [False, True])
+def test_covariance_and_response_are_those_of_the_whole_normal_matrix(moving: bool) -> None:
     block = small("demo", 2, 70)
     priors = replace(
         gps_priors(block),
         rotations=block.gimbal_cam_from_world,
         rotation_sigma_rad=np.full(len(block.gps_m), np.radians(2.0)),
-        shutter_sigma_m=shutter_sigma_m,
+        way_information=way_information(block.centres_m, 60.0) if moving else None,
     )
     adjustment = block_adjustment(block, priors)
     free = brown_and_field()
@@ -419,7 +423,9 @@ def test_way_during_the_readout_is_found() -> None:
     """8 m/s over 30 ms are 24 cm along the track; held still, the same block does not fit."""
     block = small("demo", 2, 250, readout_s=0.03, speed_m_s=8.0)
     priors = gps_priors(block)
-    moving = block_adjustment(block, replace(priors, shutter_sigma_m=0.5))
+    moving = block_adjustment(
+        block, replace(priors, way_information=way_information(block.centres_m, 0.5 / WAY, upright=False))
+    )
     result = moving.run(truth_of(block), lens_mask(BROWN))
     still = block_adjustment(block, priors).run(truth_of(block), lens_mask(BROWN))
     assert result.converged
@@ -439,7 +445,9 @@ def test_way_during_the_readout_is_found() -> None:
 def test_block_with_a_rolling_shutter_is_turned_as_a_whole() -> None:
     """A step that turns and scales the block carries the ways along, once and not twice."""
     block = small("demo", 2, 150, readout_s=0.03, speed_m_s=8.0, noise_px=0.0, gps_sigma_m=0.0)
-    priors = replace(loose_priors(block, 2.5), shutter_sigma_m=5.0)
+    priors = replace(
+        loose_priors(block, 2.5), way_information=way_information(block.centres_m, 5.0 / WAY, upright=False)
+    )
     way = block.velocity_m_s * block.readout_s
     turn = rotation_exp(np.radians([[2.0, -3.0, 50.0]]))[0]
     start = State(

@@ -12,6 +12,7 @@ from hypothesis import strategies as st
 
 from calib.align.adjust import BoolArray
 from calib.align.dome import dome_amplitude_m
+from calib.align.readout import way_information
 from calib.camera import FloatArray
 from calib.field import LENS_NAMES, Lens
 from calib.network_design import (
@@ -47,7 +48,7 @@ def known_of(
     k: int,
     free: BoolArray | None = None,
     field_sigma_px: float = 0.5,
-    shutter_sigma_m: float | None = None,
+    way_information: FloatArray | None = None,
 ) -> Known:
     sigma = np.full(len(LENS_NAMES), np.inf)
     sigma[-24:] = field_sigma_px
@@ -56,28 +57,26 @@ def known_of(
         np.full(k, POSE_SIGMA[0]),
         sigma,
         brown_and_field() if free is None else free,
-        shutter_sigma_m,
+        way_information,
     )
 
 
 @pytest.mark.parametrize(
-    ("name", "shutter_sigma_m"),
-    [("A1", None), ("A3", None), ("A4", None), ("crosshatch", None), ("A3", 0.2)],
+    ("name", "moving"),
+    [("A1", False), ("A3", False), ("A4", False), ("crosshatch", False), ("A3", True)],
 )
-def test_covariance_is_the_adjustments(name: str, shutter_sigma_m: float | None) -> None:
+def test_covariance_is_the_adjustments(name: str, moving: bool) -> None:
     block = small(name, 1, 250, noise_px=1e-9)
     block = replace(
         block, observations=replace(block.observations, sigma_px=np.full(len(block.observations), 0.5))
     )
+    ways = way_information(block.centres_m, 60.0) if moving else None
     priors = replace(
-        gps_priors(block),
-        centres_m=block.centres_m,
-        lens_mean=block.lens.vector,
-        shutter_sigma_m=shutter_sigma_m,
+        gps_priors(block), centres_m=block.centres_m, lens_mean=block.lens.vector, way_information=ways
     )
     adjusted = block_adjustment(block, priors).run(truth_of(block), brown_and_field(), response=True)
     k = len(block.centres_m)
-    known = replace(known_of(k, shutter_sigma_m=shutter_sigma_m), rotation_sigma_rad=np.full(k, np.inf))
+    known = replace(known_of(k, way_information=ways), rotation_sigma_rad=np.full(k, np.inf))
     found = lens_information(network_of(block), known, dome_functional(block.points_m)[None])
     scale = 1 / np.sqrt(np.diag(adjusted.lens_normal))
     reference = inverse(adjusted.lens_normal)
@@ -113,9 +112,9 @@ def test_dome_functional_is_the_domes_amplitude() -> None:
 
 
 def _split(
-    seed: int, extra: int, shutter_sigma_m: float | None = None
-) -> tuple[CameraNetwork, CameraNetwork, Joint, list[PhotoRows]]:
-    """A3 with and without its oblique photos, and those as rows."""
+    seed: int, extra: int, moving: bool = False
+) -> tuple[CameraNetwork, CameraNetwork, Joint, list[PhotoRows], FloatArray | None]:
+    """A3 with and without its oblique photos, those as rows, and what is known of all ways."""
     block = small("A3", seed, 120)
     seen = block.observations
     base = np.bincount(seen.point[seen.photo < 32], minlength=len(block.points_m)) >= 2
@@ -137,7 +136,9 @@ def _split(
 
     bare, full = network(32), network(32 + extra)
     g = dome_functional(points)[None]
-    joint = joint_covariance(bare, known_of(32, shutter_sigma_m=shutter_sigma_m), g, np.arange(len(points)))
+    ways = way_information(full.centres_m, 60.0) if moving else None
+    known = known_of(32, way_information=None if ways is None else ways[:32])
+    joint = joint_covariance(bare, known, g, np.arange(len(points)))
     rows = []
     for i in range(32, 32 + extra):
         mine = kept & (seen.photo == i)
@@ -145,29 +146,30 @@ def _split(
             photo_rows(
                 joint,
                 block.lens,
-                known_of(1, shutter_sigma_m=shutter_sigma_m),
+                known_of(1),
                 block.rotations_cam_from_world[i],
                 block.centres_m[i],
                 number[seen.point[mine]],
                 seen.sigma_px[mine],
                 POSE_SIGMA,
+                None if ways is None else ways[i],
             )
         )
-    return bare, full, joint, rows
+    return bare, full, joint, rows, ways
 
 
-def _head(network: CameraNetwork, shutter_sigma_m: float | None = None) -> tuple[FloatArray, LensInformation]:
-    known = known_of(len(network.centres_m), shutter_sigma_m=shutter_sigma_m)
+def _head(network: CameraNetwork, ways: FloatArray | None = None) -> tuple[FloatArray, LensInformation]:
+    known = known_of(len(network.centres_m), way_information=ways)
     info = lens_information(network, known, dome_functional(network.points_m)[None])
     return inverse(info.normal), info
 
 
 @settings(max_examples=6, deadline=None)
-@given(seed=st.integers(0, 50), extra=st.integers(1, 4), shutter_sigma_m=st.sampled_from([None, 0.2]))
-def test_adding_photos_is_starting_over(seed: int, extra: int, shutter_sigma_m: float | None) -> None:
-    bare, full, joint, rows = _split(seed, extra, shutter_sigma_m)
+@given(seed=st.integers(0, 50), extra=st.integers(1, 4), moving=st.booleans())
+def test_adding_photos_is_starting_over(seed: int, extra: int, moving: bool) -> None:
+    bare, full, joint, rows, ways = _split(seed, extra, moving)
     q = joint.n_lens
-    before, info = _head(bare, shutter_sigma_m)
+    before, info = _head(bare, None if ways is None else ways[:32])
     assert np.diag(joint.head)[:q] == pytest.approx(np.diag(before), rel=1e-6)
     assert joint.head[q, q] == pytest.approx(
         float(info.functional_sigma[0] ** 2 + info.given_lens[0, 0]), rel=1e-6
@@ -177,7 +179,7 @@ def test_adding_photos_is_starting_over(seed: int, extra: int, shutter_sigma_m: 
         quick = added.head_with(one)
         added = added.with_photo(one)
         assert quick == pytest.approx(added.head, rel=1e-6, abs=1e-9 * float(np.abs(quick).max()))
-    after, info = _head(full, shutter_sigma_m)
+    after, info = _head(full, ways)
     assert np.diag(added.head)[:q] == pytest.approx(np.diag(after), rel=1e-6)
     assert added.head[q, q] == pytest.approx(
         float(info.functional_sigma[0] ** 2 + info.given_lens[0, 0]), rel=1e-6
@@ -187,7 +189,7 @@ def test_adding_photos_is_starting_over(seed: int, extra: int, shutter_sigma_m: 
 @settings(max_examples=6, deadline=None)
 @given(seed=st.integers(0, 50), gone=st.integers(0, 3))
 def test_taking_a_photo_away_undoes_adding_it(seed: int, gone: int) -> None:
-    _, _, joint, rows = _split(seed, 4)
+    _, _, joint, rows, _ = _split(seed, 4)
     others = joint
     for i, one in enumerate(rows):
         if i != gone:

@@ -253,7 +253,7 @@ def test_thinned_points_tell_as_much_as_all_of_them(case: FlownSite, monkeypatch
 
 
 @pytest.mark.parametrize(
-    ("share", "sigma_share", "hides"), [(1.2e-3, 1e-4, True), (1.2e-3, 1e-3, False), (1e-4, 1e-5, False)]
+    ("share", "sigma_share", "hides"), [(1.2e-3, 1e-4, True), (1e-5, 1e-3, True), (1e-4, 1e-5, False)]
 )
 def test_a_shutter_that_hides_in_the_affinity_is_designed_for(
     case: FlownSite, share: float, sigma_share: float, hides: bool
@@ -264,11 +264,20 @@ def test_a_shutter_that_hides_in_the_affinity_is_designed_for(
     covariance[at:, :] = covariance[:, at:] = 0.0
     covariance[at, at] = covariance[at + 1, at + 1] = (sigma_share * f) ** 2
     brown = replace(check.brown, b1_px=-share * f, b2_px=0.0)
-    site = flown_site(replace(check, brown=brown, brown_covariance=covariance), SiteFile())
-    way = site.planned.known.shutter_sigma_m
-    assert (way is not None) == hides
-    assert way is None or 0.1 < way < 0.5
-    assert any("not to be square" in note for note in site.notes) == hides
+    told = replace(check, brown=brown, brown_covariance=covariance, camera_name="DJI FC300X")
+    # A mechanical shutter hides nothing.
+    assert (
+        flown_site(replace(told, camera_name="DJI FC6310"), SiteFile()).planned.known.way_information is None
+    )
+    site = flown_site(told, SiteFile())
+    ways = site.planned.known.way_information
+    assert (ways is not None) == hides
+    assert (site.planned.new_way_information is not None) == hides
+    if ways is not None:
+        sigmas = np.linalg.eigvalsh(np.linalg.inv(ways)) ** 0.5
+        assert 0.1 < np.median(sigmas[:, 2]) / np.sqrt(len(ways)) < 0.5
+        assert np.median(sigmas[:, 1]) < 0.05
+    assert any("rolling shutter" in note for note in site.notes) == hides
 
 
 def test_what_no_lens_model_follows_stays_in_the_dome(case: FlownSite) -> None:

@@ -42,8 +42,8 @@ class Priors:
     rotation_sigma_rad: FloatArray
     lens_mean: FloatArray
     lens_sigma: FloatArray
-    #: Standard deviation of a camera's way during the readout, m; None: global shutter.
-    shutter_sigma_m: float | None = None
+    #: (k, 3, 3): inverse covariance of each camera's way during the readout, 1/m2; None: global shutter.
+    way_information: FloatArray | None = None
 
 
 @dataclass(frozen=True)
@@ -129,7 +129,7 @@ class Adjustment:
     @property
     def _q(self) -> int:
         """Unknowns a photo: 6, or 9 with a rolling shutter."""
-        return 6 if self.priors.shutter_sigma_m is None else 9
+        return 6 if self.priors.way_information is None else 9
 
     def _rows(self, lens: Lens) -> FloatArray:
         """When each observation's row was read, -0.5 (first) to 0.5 (last), (n,)."""
@@ -202,8 +202,9 @@ class Adjustment:
         has = np.isfinite(self.priors.lens_sigma)
         lens = np.sum(((state.lens.vector - self.priors.lens_mean)[has] / self.priors.lens_sigma[has]) ** 2)
         shutter = 0.0
-        if self.priors.shutter_sigma_m is not None and state.shutter_m is not None:
-            shutter = float(np.sum(state.shutter_m**2)) / self.priors.shutter_sigma_m**2
+        known = self.priors.way_information
+        if known is not None and state.shutter_m is not None:
+            shutter = float(np.einsum("ki,kij,kj->", state.shutter_m, known, state.shutter_m))
         total = float(image + position + attitude + lens + shutter)
         return total if np.isfinite(total) else np.inf
 
@@ -253,11 +254,11 @@ class Adjustment:
         axes = np.arange(3, 6)
         u_cc[:, axes, axes] += weight[:, None] * inv_sigma**2
         g_c[:, 3:6] += weight[:, None] * normalised * inv_sigma
-        if self.priors.shutter_sigma_m is not None:
-            axes = np.arange(6, 9)
-            u_cc[:, axes, axes] += 1 / self.priors.shutter_sigma_m**2
+        ways = self.priors.way_information
+        if ways is not None:
+            u_cc[:, 6:, 6:] += ways
             if state.shutter_m is not None:
-                g_c[:, 6:] -= state.shutter_m / self.priors.shutter_sigma_m**2
+                g_c[:, 6:] -= np.einsum("kij,kj->ki", ways, state.shutter_m)
         turn = np.zeros(top.n_photos)
         turn[self._has_rotation] = 1 / self.priors.rotation_sigma_rad[self._has_rotation]
         axes = np.arange(3)

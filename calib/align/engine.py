@@ -241,7 +241,8 @@ class Aligner:
         if self.settings.refine:
             local, state = self._refined(photos, local, state)
         priors = self._priors(tags, placement, state)
-        calibrated = calibrate(local, state, priors, self._tick("self-calibration"))
+        standing = np.array([photo.standing for photo in photos])
+        calibrated = calibrate(local, state, priors, self._tick("self-calibration"), standing=standing)
         return Aligned(self._solution(calibrated, photos, index, placement, pairs, blurry), calibrated)
 
     def _refined(

@@ -22,6 +22,7 @@ from calib.align.chance import Lengths, beyond_chance
 from calib.align.correlation import correlation_factor
 from calib.align.georeference import DEFAULT_SIGMA_M
 from calib.align.rays import ray_angle_deg
+from calib.align.readout import way_information
 from calib.align.tracks import select
 from calib.camera import BROWN_NAMES, FloatArray
 from calib.errors import AlignmentError
@@ -39,9 +40,7 @@ UNKNOWN_F_SIGMA = 0.3
 SIGNIFICANT = 2.6
 #: Points seen under less parallax say nothing about the lens and slow the adjustment down.
 LEAST_ANGLE_DEG = 2.0
-#: A priori way of a camera during its readout, as a share of its distance to the ground (8 m/s for
-#: 30 ms at 60 m), and the significance at which a rolling shutter is believed.
-SHUTTER_WAY = 0.004
+#: The significance at which a rolling shutter is believed.
 SHUTTER_P = 1e-3
 #: Rounds in which measured positions that contradict the block lose weight.
 POSITION_ROUNDS = 5
@@ -164,12 +163,15 @@ def calibrate(
     priors: Priors,
     tick: Callable[[], None] | None = None,
     blunder_sigmas: float = 4.5,
+    standing: np.ndarray | None = None,
 ) -> Calibrated:
     """Self-calibrate a block (see the module's text).
 
     Args:
         obs: every photo has observations, every point at least two; sorted by point.
+        start: photos in the order in which they were taken, z up.
         priors: positions, attitudes and lens (:func:`with_lens_priors`).
+        standing: (k,) photos known to be taken by a camera that stood; None: none.
 
     Raises:
         AlignmentError: too few observations survive for the number of unknowns.
@@ -207,7 +209,7 @@ def calibrate(
     adjustment = Adjustment(obs, k, len(state.points_m), priors, noise_factor=factor)
     result = adjustment.run(state, result.free, tick=tick)
     adjustment, result = _with_believable_positions(adjustment, result, tick)
-    adjustment = _with_shutter(adjustment, result, tick)
+    adjustment = _with_shutter(adjustment, result, standing, tick)
     result = adjustment.run(result.state, result.free, reweightings=1, response=True, tick=tick)
     return Calibrated(adjustment, result, point_index, obs_index)
 
@@ -247,7 +249,7 @@ def block_correlation(adjustment: Adjustment, result: Adjusted) -> float:
         obs.photo,
         obs.pixels,
         (brown.width, brown.height),
-        6 if adjustment.priors.shutter_sigma_m is None else 9,
+        6 if adjustment.priors.way_information is None else 9,
     )
 
 
@@ -273,17 +275,24 @@ def _with_believable_positions(
     return adjustment, result
 
 
-def _with_shutter(adjustment: Adjustment, result: Adjusted, tick: Callable[[], None] | None) -> Adjustment:
+def _with_shutter(
+    adjustment: Adjustment, result: Adjusted, standing: np.ndarray | None, tick: Callable[[], None] | None
+) -> Adjustment:
     """The adjustment with a rolling shutter where that explains the residuals significantly better."""
     state, obs = result.state, adjustment.obs
-    distance = np.linalg.norm(state.points_m[obs.point] - state.centres_m[obs.photo], axis=1)
-    way = SHUTTER_WAY * float(np.median(distance))
-    moving = adjustment.with_priors(replace(adjustment.priors, shutter_sigma_m=way))
+    distance = float(
+        np.median(np.linalg.norm(state.points_m[obs.point] - state.centres_m[obs.photo], axis=1))
+    )
+    # Without positions nothing says where up is.
+    upright = bool(np.isfinite(adjustment.priors.centre_sigma_m).all(axis=1).any())
+    ways = way_information(state.centres_m, distance, standing, upright)
+    moving = adjustment.with_priors(replace(adjustment.priors, way_information=ways))
     weights = (result.weights, result.position_weights)
     trial = moving.run(state, result.free, 20, decrement=1.0, weights=weights, tick=tick)
     # Correlated noise gives way to any smooth motion; what stays correlated afterwards is not the shutter's.
     noise = trial.sigma0**2 / adjustment.noise_factor * block_correlation(moving, trial)
     gain = (result.chi2 - trial.chi2) / noise
+    # However narrow the priors: many thousand tie points use up what they leave.
     unknowns = 3 * len(state.rotations)
     return moving if float(chdtrc(unknowns, max(gain, 0.0))) < SHUTTER_P else adjustment
 

@@ -116,6 +116,8 @@ class Photo:
     radiometric: Radiometric | None = None
     #: Known to belong to one survey with the others that are so marked, whatever the pause between them.
     joined: bool = False
+    #: Known to be taken by a vehicle that stood.
+    standing: bool = False
 
 
 @dataclass(frozen=True)
