@@ -19,15 +19,17 @@ from benchmarks.resumed import asked, read_rows, run_rows
 
 HERE = Path(__file__).parent
 WHAT = """
-Weak flights of a balanced random design (`python -m benchmarks.refly_loop`; one flight in full:
-`--case N`): checked, and where the geometry is at fault the pass that `fieldcal refly` recommends from the
-check's own network.npz is flown with errors of 2 m and 2 degrees (standard deviations per axis) and 5 % of
-its photos missing, and old and new photos are checked together, against a reference made on site. Beside it,
-flown as badly, [C&D]'s eight photos on every third flight, and an orbit of 8, 10 or 12 photos 35 degrees off
-nadir on every third. Observation level: tie points with noise, no images; 125 tie points a photo are
-simulated, measured as well as the means of the 250 or 500 that they stand for. Views from aside are matched
-as rarely as those of rendered photos, or fall off at 0.85 or 1.15 times their angles. Time is from the ground
-at a launch point on the site's edge and back.
+Weak flights of a balanced random design (`python -m benchmarks.refly_loop`; one flight in full: `--case
+N`): checked, and where the geometry is at fault the pass that `fieldcal refly` recommends from the check's
+own network.npz is flown with errors of 2 m and 2 degrees (standard deviations per axis) and 5 % of its
+photos missing, and old and new photos are checked together, against a reference made on site. Beside it,
+flown as badly, [C&D]'s eight photos on every sixth flight, and an orbit of 8, 10 or 12 photos 35 degrees
+off nadir on every sixth; of recommended passes that promise no cure every fourth is flown. Photos of the
+recommended pass are known again by the check, so it knows that they were taken standing. Half of the
+cameras are known to have a mechanical shutter, none of those whose shutter rolls. Observation level: tie
+points with noise, no images; 125 tie points a photo are simulated, measured as well as the means of the 250
+or 500 that they stand for. Views from aside are matched as rarely as those of rendered photos, or fall off
+at 0.85 or 1.15 times their angles. Time is from the ground at a launch point on the site's edge and back.
 """
 
 

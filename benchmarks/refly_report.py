@@ -15,7 +15,7 @@ from benchmarks.verdict_tables import WORST, median, table
 
 #: The remedies, as they stand in the tables.
 REMEDIES: dict[str, Callable[[LoopScore], Flown | None]] = {
-    "the recommended pass": lambda s: s.offered,
+    "the recommended pass": lambda s: s.offered if s.offered is not None and s.offered.was_flown else None,
     "[C&D]'s eight photos": lambda s: s.paper,
     "a plain orbit of 8-12 photos": lambda s: s.orbit,
 }

@@ -35,6 +35,9 @@ from sim.solution import identity_of, outcome_of
 
 #: Numbers of the passes of a flight; those that people fly come after it.
 OFFERED = 1
+#: The usual remedies are flown in one flight of so many each, a pass that promises no cure in one of so many.
+USUAL_EVERY, NO_CURE_EVERY = 6, 4
+NOT_FLOWN = "not flown"
 #: What people fly: an orbit as high as the survey, of so many photos, so far off nadir.
 ORBIT_PHOTOS, ORBIT_TILT_DEG = (8, 10, 12), 35.0
 
@@ -70,6 +73,11 @@ class Flown:
     check: Checked
 
     @property
+    def was_flown(self) -> bool:
+        """False: only planned."""
+        return self.photos > 0
+
+    @property
     def cured(self) -> bool:
         return self.check.verdict == "TRUST"
 
@@ -79,8 +87,8 @@ class LoopScore:
     """What came out of a flight.
 
     ``offered``: the recommended pass, ``paper``: [C&D]'s eight photos, ``orbit``: a plain one; None where
-    the flight needed no geometry or nothing was to be flown (``reason`` says why). Of three flights one has
-    the paper's beside it and one the orbit.
+    the flight needed no geometry or nothing was to be flown (``reason`` says why). Of six flights one has
+    the paper's beside it and one the orbit. A recommended pass that promises no cure is flown in one of four.
     """
 
     case: LoopCase
@@ -134,7 +142,8 @@ def score(case: LoopCase) -> LoopScore:
     refly_s = time.process_time() - now
     if answer.found is None:
         return scored(answer.reason, refly_s=refly_s)
-    offered = _offered(world, site, answer, held)
+    flies = answer.cures or case.number % NO_CURE_EVERY == 0
+    offered = _offered(world, site, answer, held if flies else None)
     return scored(answer.reason, (offered, *_usual(world, site, held)), refly_s)
 
 
@@ -177,9 +186,16 @@ def _as_exported(check: FlownCheck) -> FlownCheck:
         return read_network(path)
 
 
-def _offered(world: World, site: FlownSite, answer: Refly, held: TrueReference) -> Flown:
+def _offered(world: World, site: FlownSite, answer: Refly, held: TrueReference | None) -> Flown:
+    """The recommended pass; only planned without a reference to hold it against."""
     found = answer.found
     assert found is not None
+    if held is None:
+        worth = found.worth
+        return Flown(
+            len(found.stations), 0, answer.duration_s, worth.sigma_f_percent, worth.dome_percent,
+            answer.cures, Checked(NOT_FLOWN, ""),
+        )  # fmt: skip
     return _flown(
         world, site, found.stations, OFFERED, held, answer.duration_s,
         (found.worth.sigma_f_percent, found.worth.dome_percent), answer.cures,
@@ -188,8 +204,8 @@ def _offered(world: World, site: FlownSite, answer: Refly, held: TrueReference) 
 
 def _usual(world: World, site: FlownSite, held: TrueReference) -> tuple[Flown | None, Flown | None]:
     """What people fly, over the same place: the papers' photos, or an orbit."""
-    turn = world.case.number % 3
-    if turn == 2:
+    turn = world.case.number % USUAL_EVERY
+    if turn not in (0, 3):
         return None, None
     return_m = return_height_of(site)
     search = PassSearch(site.planned, site.site, return_m)
@@ -203,7 +219,7 @@ def _usual(world: World, site: FlownSite, held: TrueReference) -> tuple[Flown | 
     found = search.found(tuple(i for i in search.candidates.add(shape.stations) if i is not None))
     seconds = timing(pass_plan(found, site.site, return_m), site.site.wind).duration_s
     worth = found.worth.sigma_f_percent, found.worth.dome_percent
-    made = _flown(world, site, found.stations, 2 + turn, held, seconds, worth, found.good)
+    made = _flown(world, site, found.stations, OFFERED + 1 + turn, held, seconds, worth, found.good)
     return (made, None) if turn == 0 else (None, made)
 
 
