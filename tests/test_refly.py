@@ -14,7 +14,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from benchmarks.refly_optimality import check_of, flown, outcome
-from calib.camera import BROWN_NAMES
+from calib.align.readout import way_information
+from calib.camera import BROWN_NAMES, FloatArray
 from calib.errors import FieldcalError, FormatError, InputError
 from calib.field import LENS_NAMES
 from calib.findings import Finding, State, Verdict
@@ -136,6 +137,39 @@ def _small_network() -> bytes:
 
 
 _DATA = _small_network()
+
+
+def test_ways_during_the_readout_are_kept(tmp_path: Path) -> None:
+    path = tmp_path / NETWORK_FILE
+    path.write_bytes(_DATA)
+    check = read_network(path)
+    assert check.flown.known.way_information is None
+    ways = way_information(check.flown.network.centres_m, 60.0)
+
+    def through(check: FlownCheck) -> FlownCheck:
+        path.write_bytes(network_bytes(check))
+        return read_network(path)
+
+    def moving(ways: FloatArray) -> FlownCheck:
+        return replace(
+            check, flown=replace(check.flown, known=replace(check.flown.known, way_information=ways))
+        )
+
+    kept = through(moving(ways)).flown.known.way_information
+    assert kept is not None
+    assert np.array_equal(kept, ways)
+    with pytest.raises(FormatError, match="check the photos again"):
+        through(moving(-ways))
+    # Before there were directions one sigma stood for all.
+    path.write_bytes(_DATA)
+    with np.load(path) as archive:
+        arrays = dict(archive)
+    about = json.loads(bytes(arrays["about"])) | {"shutter_sigma_m": 0.24}
+    arrays["about"] = np.frombuffer(json.dumps(about).encode(), np.uint8)
+    np.savez_compressed(path, allow_pickle=False, **arrays)
+    old = read_network(path).flown.known.way_information
+    assert old is not None
+    assert np.allclose(old, np.eye(3) / 0.24**2)
 
 
 def test_what_is_kept_knows_as_much_as_all_of_it() -> None:
