@@ -35,18 +35,20 @@ from sim.survey import SurveyOptions, SurveyTruth, lens_corrected, true_referenc
 #: Surveys that look straight down from one height; width of the photos.
 RECIPES = ("demo_nadir", "nadir_one_height", "demo_crosshatch")
 WIDTH = 640
-#: Cameras by name; "corrected": a Phantom 3 that corrects its photos and leaves 1.5 px of no lens model.
-LENSES = ("phantom-3", "phantom-4-pro", "corrected", "inspire-1")
+#: Cameras by name; "corrected": a Phantom 3 that corrects its photos and leaves 1.5 px of no lens model;
+#: "rolling": one that reads its rows in 30 ms while it flies on.
+LENSES = ("phantom-3", "phantom-4-pro", "corrected", "inspire-1", "rolling")
+READOUT_S = 0.03
 RELIEFS_M = (2.0, 6.0)
 WHAT = """
 Surveys straight down from one height, rendered as photos of 640 px width over invented ground, another one
-for each: 12, 18 or 24 photos, three cameras and one that corrects its photos and leaves 1.5 px (at full size)
-that no lens model follows, rolling ground of 2 or 6 m. Each is checked by `fieldcal check` against its true
-lens; the pass that `fieldcal refly` recommends is rendered over the same ground with errors of 2 m and 2
-degrees (standard deviations per axis) in the flying and 5 % of its photos missing, and `fieldcal check` of
-both folders gives the verdict. Nothing is shared with the truth but the photos and the reference
-(`python -m benchmarks.refly_rendered`; one flight in full: `--case N`). `tests/test_refly_flown.py` does it
-once.
+for each: 12, 18 or 24 photos, three cameras, one that corrects its photos and leaves 1.5 px (at full size)
+that no lens model follows and one that reads its rows in 30 ms at 8 m/s, rolling ground of 2 or 6 m. Each
+is checked by `fieldcal check` against its true lens; the pass that `fieldcal refly` recommends is rendered
+over the same ground with errors of 2 m and 2 degrees (standard deviations per axis) in the flying and 5 %
+of its photos missing, and `fieldcal check` of both folders gives the verdict. Nothing is shared with the
+truth but the photos and the reference (`python -m benchmarks.refly_rendered`; one flight in full: `--case
+N`). `tests/test_refly_flown.py` does it once.
 """
 
 
@@ -86,15 +88,17 @@ def flight_of(stations: Sequence[dict[str, Any]], options: SurveyOptions) -> Fli
         for key in ("lat", "lon", "height_m", "yaw_deg", "pitch_deg")
     )
     centres = frame.enu(latitude, longitude, height)
-    turn = np.radians(yaw)
-    track = np.stack([np.sin(turn), np.cos(turn), np.zeros_like(turn)], axis=-1)
-    return Flight(rotation_looking(yaw, 90.0 + pitch), centres, track)
+    # Photos are taken standing.
+    return Flight(rotation_looking(yaw, 90.0 + pitch), centres, np.zeros_like(centres))
 
 
 def options_of(number: int) -> tuple[str, str, SurveyOptions]:
     """Recipe, lens and options of a flight: every lens with every recipe before one comes again."""
     recipe, lens = RECIPES[number % len(RECIPES)], LENSES[number % len(LENSES)]
     options = SurveyOptions(texel_m=0.16, relief_m=RELIEFS_M[(number // 2) % len(RELIEFS_M)])
+    if lens == "rolling":
+        rendering = replace(find_camera("phantom-3").rendering, readout_s=READOUT_S)
+        return recipe, lens, replace(options, camera_model="phantom-3", render=rendering)
     if lens != "corrected":
         return recipe, lens, replace(options, camera_model=lens)
     model = find_camera("phantom-3")
@@ -103,7 +107,7 @@ def options_of(number: int) -> tuple[str, str, SurveyOptions]:
 
 
 def _size(lens: str) -> tuple[int, int]:
-    width, height = find_camera("phantom-3" if lens == "corrected" else lens).default_size
+    width, height = find_camera("phantom-3" if lens in ("corrected", "rolling") else lens).default_size
     return WIDTH, round(WIDTH * height / width)
 
 
