@@ -58,6 +58,13 @@ def refly_command(
     gimbal: Annotated[
         str | None, typer.Option(metavar="LOWEST,HIGHEST", help="The gimbal's pitch range (default -90,0).")
     ] = None,
+    mechanical_shutter: Annotated[
+        bool | None,
+        typer.Option(
+            "--mechanical-shutter/--rolling-shutter",
+            help="Whether the camera exposes all rows at once (default: by its model, or not known).",
+        ),
+    ] = None,
     autopilot: Annotated[
         Literal["ardupilot", "px4"], typer.Option(help="Whose mission items .plan and .waypoints get.")
     ] = "ardupilot",
@@ -76,6 +83,7 @@ def refly_command(
         {
             "launch": _numbers(launch, "--launch"),
             "ceiling_m": ceiling,
+            "mechanical_shutter": mechanical_shutter,
             "vehicle": {"endurance_s": None if battery is None else 60 * battery}
             | dict(
                 zip(

@@ -132,10 +132,11 @@ def flown_site(check: FlownCheck, keys: SiteFile, name: str = "refly") -> FlownS
     moved = replace(net, points_m=points, centres_m=centres)
     hull = shapely.MultiPoint(centres[:, :2]).convex_hull
     area = hull if isinstance(hull, Polygon) else hull.buffer(0.3 * check.height_agl_m)
-    if hidden_shutter(check):
+    hidden = hidden_shutter(check, keys.mechanical_shutter)
+    if hidden:
         notes.append(
             "These photos do not show whether the camera reads its rows one after the other while it moves "
-            "(a rolling shutter). The pass allows for that."
+            "(a rolling shutter). The pass allows for that; with --mechanical-shutter it does not."
         )
     frame = LocalFrame(latitude, longitude)
     terrain = (
@@ -145,7 +146,8 @@ def flown_site(check: FlownCheck, keys: SiteFile, name: str = "refly") -> FlownS
     )
     height = round(check.height_agl_m, 1)
     site = site_of(keys, name, frame, area, check.brown, check.camera_name, height, terrain)
-    return FlownSite(check, site, _planned(replace(check.flown, network=moved), check), tuple(notes))
+    planned = _planned(replace(check.flown, network=moved), check, hidden)
+    return FlownSite(check, site, planned, tuple(notes))
 
 
 def _launch_up_m(check: FlownCheck, at_m: FloatArray, notes: list[str], given: bool) -> float:
@@ -165,14 +167,16 @@ def _launch_up_m(check: FlownCheck, at_m: FloatArray, notes: list[str], given: b
     return check.launch_up_m
 
 
-def hidden_shutter(check: FlownCheck) -> bool:
+def hidden_shutter(check: FlownCheck, mechanical: bool | None = None) -> bool:
     """Whether a rolling shutter may hide in the affinity: it is not shown that the pixels are square.
 
     Where all lines are flown the same way in the image, the way during the readout stretches every photo
     alike. Photos from aside tell the two apart, and the check then asks for the way of every single photo.
-    Cameras that are known to have none are believed.
+    Cameras that are known to have none are believed, and who says it: ``mechanical``.
     """
-    if check.flown.known.way_information is not None or shows_no_readout(check.camera_name):
+    if mechanical is None:
+        mechanical = shows_no_readout(check.camera_name)
+    if check.flown.known.way_information is not None or mechanical:
         return False
     at = [BROWN_NAMES.index(name) for name in ("b1", "b2")]
     affinity = float(np.linalg.norm(check.brown.vector[at]))
@@ -188,13 +192,16 @@ def _with_its_pattern(lens: Lens, check: FlownCheck) -> Lens:
     return replace(lens, field_px=known)
 
 
-def _planned(flown: FlownNetwork, check: FlownCheck) -> PlannedNetwork:
-    """The network as the search takes it, with the block's own noise, tie points and priors."""
+def _planned(flown: FlownNetwork, check: FlownCheck, hidden: bool) -> PlannedNetwork:
+    """The network as the search takes it, with the block's own noise, tie points and priors.
+
+    ``hidden``: a rolling shutter is to be allowed for.
+    """
     lens = flown.network.lens
     # With more photos more parameters are significant: the pass has to serve all of them.
     free = mask((*BASIC, "k3", "p1", "p2", "b1", "b2"), field=True)
     ways = flown.known.way_information
-    if hidden_shutter(check):
+    if hidden:
         ways = way_information(flown.network.centres_m, check.height_agl_m)
     # Precise positions that contradict the images are dropped, perhaps only when the pass is there to show
     # it: the images have to do without them.

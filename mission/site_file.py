@@ -100,6 +100,7 @@ class SiteFile(_Strict):
     area: Outline | None = None
     launch: tuple[Latitude, Longitude] | None = None
     camera: str | None = None
+    mechanical_shutter: bool | None = None
     height_m: Annotated[float, Field(gt=0, le=5000)] | None = None
     gsd_cm: Annotated[float, Field(gt=0, le=1000)] | None = None
     forward_overlap: Overlap | None = None

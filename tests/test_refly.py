@@ -303,7 +303,10 @@ def test_a_shutter_that_hides_in_the_affinity_is_designed_for(
     assert (
         flown_site(replace(told, camera_name="DJI FC6310"), SiteFile()).planned.known.way_information is None
     )
-    site = flown_site(told, SiteFile())
+    believed = flown_site(told, SiteFile(mechanical_shutter=True))
+    assert believed.planned.known.way_information is None
+    assert not any("rolling" in note for note in believed.notes)
+    site = flown_site(replace(told, camera_name="DJI FC6310"), SiteFile(mechanical_shutter=False))
     ways = site.planned.known.way_information
     assert (ways is not None) == hides
     assert (site.planned.new_way_information is not None) == hides
