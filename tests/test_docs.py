@@ -108,7 +108,7 @@ def options() -> dict[tuple[str, ...], set[str]]:
             assert cli.run([*command, "--help"]) == 0
         said = out.getvalue()
         found[command] = set(re.findall(r"^\s+(--[a-z][a-z0-9-]*)", said, re.MULTILINE))
-        found[command] |= set(re.findall(r"(?<= / )--no-[a-z-]+", said))
+        found[command] |= set(re.findall(r"(?<= / )--[a-z-]+", said))
     return found
 
 
