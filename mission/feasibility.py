@@ -38,9 +38,10 @@ _USUAL = mav.FLOWN_TO | {
     *(mav.NAV_RETURN_TO_LAUNCH, mav.NAV_DELAY, mav.CONDITION_DELAY, mav.CONDITION_YAW, mav.DO_CHANGE_SPEED),
     *(mav.DO_SET_ROI_LOCATION, mav.DO_SET_ROI_NONE, mav.DO_SET_ROI, mav.DO_DIGICAM_CONTROL),
     *(mav.DO_MOUNT_CONTROL, mav.DO_SET_CAM_TRIGG_DIST, mav.DO_GIMBAL_MANAGER_PITCHYAW),
+    mav.DO_GIMBAL_MANAGER_CONFIGURE,
     *(mav.IMAGE_START_CAPTURE, mav.IMAGE_STOP_CAPTURE),
     # Trigger and gimbal set-up, camera mode, landing marker, jump: ground stations write them.
-    *(177, 189, 204, 214, 530, 1001, 2003),
+    *(177, 189, 204, 214, 530, 2003),
 }
 
 

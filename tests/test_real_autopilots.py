@@ -1,6 +1,7 @@
 """The whole loop beside an autopilot's own simulator: upload, photos, REFLY, the extra pass, TRUST.
 
-``FIELDCAL_ARDUCOPTER`` names ArduPilot's simulator (``arducopter``); skipped without it.
+``FIELDCAL_ARDUCOPTER`` names ArduPilot's simulator (``arducopter``), ``FIELDCAL_PX4`` PX4's (``px4``, in the
+folder of a build for ``px4_sitl_default``); skipped without.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from daemon.session.reader import SessionReader
 from mission.encode import compare
 from sim.demo import CAMERA, FLY_IT, LENS, reference_of
 from sim.truth import read_truth
-from tests.real_vehicle import HOME, RealVehicle, arducopter
+from tests.real_vehicle import HOME, RealVehicle, arducopter, px4
 from tests.test_run_cli import fieldcal, the_session, working
 from tests.test_sim_camera import wait_until_ready
 
@@ -35,14 +36,18 @@ SPEED_UP = 4.0
 FLIGHT_S = 600.0
 #: DO_SET_ROI_SYSID: not taken in a mission.
 REFUSED = 198
+#: The good items of a refused mission stay on ArduPilot; PX4 takes all or none.
+LEFT = {"ardupilot": "back", "px4": "still there"}
+SIMULATORS = {"ardupilot": ("FIELDCAL_ARDUCOPTER", arducopter), "px4": ("FIELDCAL_PX4", px4)}
 
 
-@pytest.fixture
-def vehicle(tmp_path: Path) -> Iterator[RealVehicle]:
-    binary = os.environ.get("FIELDCAL_ARDUCOPTER")
+@pytest.fixture(params=["ardupilot", "px4"])
+def vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[RealVehicle]:
+    variable, started = SIMULATORS[request.param]
+    binary = os.environ.get(variable)
     if not binary:
-        pytest.skip("FIELDCAL_ARDUCOPTER is not set: no ArduPilot simulator here")
-    with arducopter(binary, tmp_path / "vehicle", SPEED_UP) as found:
+        pytest.skip(f"{variable} is not set: no simulator of this autopilot here")
+    with started(binary, tmp_path / "vehicle", SPEED_UP) as found:
         yield found
 
 
@@ -77,7 +82,7 @@ def refused(home: Path, vehicle: RealVehicle, mission: Path) -> None:
     bad.write_text(json.dumps(file))
     done = upload(home, vehicle, bad)
     assert done.returncode == 2
-    assert "The old mission is back, read back and compared." in done.stderr
+    assert f"The old mission is {LEFT[vehicle.flavour]}, read back and compared." in done.stderr
     holds(vehicle, mission)
 
 
@@ -167,7 +172,8 @@ def test_a_pass_is_uploaded_in_the_air(vehicle: RealVehicle, tmp_path: Path) -> 
             vehicle.pilot.hold()
             told.wait(FLY_IT)
             assert vehicle.pilot.armed
-            assert told.count("restart the mission")
+            # PX4 begins a new mission at its beginning.
+            assert told.count("restart the mission") == (vehicle.flavour == "ardupilot")
             new = the_session(tmp_path) / "refly" / "pass.plan"
             holds(vehicle, new)
             vehicle.pilot.restart()

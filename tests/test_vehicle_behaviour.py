@@ -13,11 +13,12 @@ pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
 
 from mission import encode
 from mission.encode import Flavour, Item
+from mission.encode import constants as mav
 from mission.encode.items import do
 from sim.vehicle import Faults, Vehicle, VehicleOptions
 from sim.vehicle.dialect import mavlink
 from sim.vehicle.faults import FaultyLink
-from tests.mission_plans import LAUNCH, line, orbit, plan_of
+from tests.mission_plans import LAUNCH, line, orbit, plan_of, triggered
 
 PLAN = plan_of(*line(60.0, 10.0, 30.0), *orbit(6, radius=25.0, height=30.0), speed_m_s=5.0)
 
@@ -211,6 +212,37 @@ def test_px4_stops_the_photos_and_goes_back() -> None:
     reached = [m.seq for m in ground.heard if m.get_type() == "MISSION_ITEM_REACHED"]
     assert len(reached) > len(set(reached))  # repeats
     assert not {CAM for CAM in names(ground.heard) if CAM == "CAMERA_FEEDBACK"}
+
+
+def test_px4_turns_its_gimbal_only_for_whom_it_is_given_to() -> None:
+    """A mission that does not take the gimbal looks ahead on all photos (flown with PX4)."""
+    items = encode.items(PLAN, "px4")
+    without = [item for item in items if item.command != mav.DO_GIMBAL_MANAGER_CONFIGURE]
+    assert len(without) == len(items) - 1
+    for mission, taken in ((items, True), (without, False)):
+        ground = Ground("px4")
+        assert ground.upload(mission) == 0
+        assert ground.command(400, 1) == 0
+        assert ground.command(300) == 0
+        ground.until(lambda: ground.vehicle.done)  # noqa: B023
+        level = [photo.pitch_deg == 0 for photo in ground.vehicle.photos]
+        assert len(level) == len(triggered(PLAN))
+        assert not any(level) if taken else all(level)
+    assert Ground("px4").command(1000, -90.0) == 2  # DENIED
+
+
+def test_px4_turns_the_gimbal_ahead_where_a_mission_is_left_and_back_where_it_is_taken_up() -> None:
+    ground = Ground("px4")
+    ground.start()
+    ground.until(lambda: len(ground.vehicle.photos) == 3)
+    aim = ground.vehicle.body.gimbal_pitch_deg
+    assert aim < -80
+    ground.command(176, 1, 4, 3)
+    ground.pass_s(3)
+    assert ground.vehicle.body.gimbal_pitch_deg == 0
+    ground.command(176, 1, 4, 4)
+    ground.until(lambda: len(ground.vehicle.photos) == 5)
+    assert ground.vehicle.body.gimbal_pitch_deg == aim
 
 
 def test_a_mission_cleared_in_flight() -> None:

@@ -5,6 +5,9 @@
   known, waypoints carry the yaw, and the vehicle holds it on the way there. So the end of a line
   carries the line's yaw, and a second waypoint at the same place turns to another one.
 * Only straight legs: orbits are waypoints.
+* A gimbal turns only for whom it has been given to: without DO_GIMBAL_MANAGER_CONFIGURE the mission's
+  own gimbal commands are denied without a word, and the camera looks ahead on all photos. Once is
+  enough: PX4 runs it again itself where a mission is taken up in its middle.
 * Rates of a gimbal command are NaN ("as fast as it goes"), as the MAVLink definition has it.
 """
 
@@ -71,6 +74,8 @@ def items(plan: Plan, aim: Aim = "angles") -> tuple[Item, ...]:
         else:
             out.append(replace(place, param4=yaw))
         if waypoint.shot is not Shot.NONE and not line_goes_on(before, waypoint):
+            if roi is None and not any(one.command == mav.DO_GIMBAL_MANAGER_CONFIGURE for one in out):
+                out.append(_take_gimbal())
             out += [_gimbal(waypoint) if roi is None else roi, wait(plan.vehicle.settle_s)]
         if waypoint.shot is Shot.STOP:
             out += [photo(), wait(SHUTTER_S)]
@@ -93,6 +98,11 @@ def _place(x: int, y: int, height_m: float) -> Item:
 
 def _yaw_deg(waypoint: Waypoint) -> float:
     return waypoint.yaw_deg % 360
+
+
+def _take_gimbal() -> Item:
+    """The gimbal is the mission's (-2) from here on; whoever had it as second keeps it (-1)."""
+    return do(mav.DO_GIMBAL_MANAGER_CONFIGURE, -2.0, -2.0, -1.0, -1.0)
 
 
 def _gimbal(waypoint: Waypoint) -> Item:

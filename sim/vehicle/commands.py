@@ -96,6 +96,10 @@ class Commands:
         self.pilot.do(item)
         return ACCEPTED
 
+    def _gimbal(self, item: Item) -> int:
+        """PX4 obeys whom the gimbal was given to; a ground station never asks for it here."""
+        return self._camera_or_gimbal(item) if self._ardupilot else DENIED
+
 
 _COMMANDS: dict[int, Callable[[Commands, Item], int]] = {
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: Commands._interval,
@@ -109,7 +113,7 @@ _COMMANDS: dict[int, Callable[[Commands, Item], int]] = {
     mavlink.MAV_CMD_IMAGE_START_CAPTURE: Commands._photo,
     mavlink.MAV_CMD_DO_DIGICAM_CONTROL: Commands._photo,
     mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST: Commands._camera_or_gimbal,
-    mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: Commands._camera_or_gimbal,
+    mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: Commands._gimbal,
     mavlink.MAV_CMD_DO_CHANGE_SPEED: Commands._camera_or_gimbal,
     mavlink.MAV_CMD_DO_SET_ROI_LOCATION: Commands._camera_or_gimbal,
     mavlink.MAV_CMD_DO_SET_ROI: Commands._camera_or_gimbal,

@@ -129,12 +129,12 @@ class Telemetry:
         return mavlink.MAVLink_camera_trigger_message(round(photo.boot_s * 1e6), photo.index)
 
     def captured(self, photo: PhotoTaken, camera_component: bool) -> MavMessage:
-        """CAMERA_IMAGE_CAPTURED: of PX4 itself, or of a separate camera on its own clock."""
+        """CAMERA_IMAGE_CAPTURED: of PX4 (always camera 1), or of a separate camera on its own clock."""
         x, y, altitude = self.place(photo.believed_m)
         boot_s = photo.boot_s - 7.0 if camera_component else photo.boot_s
         index = photo.index - 1 if camera_component else photo.index
         return mavlink.MAVLink_camera_image_captured_message(
-            *(self.boot_ms(max(boot_s, 0.001)), self.utc_us(photo.boot_s), 0, x, y),
+            *(self.boot_ms(max(boot_s, 0.001)), self.utc_us(photo.boot_s), int(not camera_component), x, y),
             *(round(altitude * 1e3), round(photo.believed_m[2] * 1e3)),
             *(quaternion(0.0, photo.pitch_deg, photo.yaw_deg), index, 1, b""),
         )
