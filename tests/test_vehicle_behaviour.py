@@ -11,6 +11,10 @@ import pytest
 
 pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
 
+from daemon.link import events as ev
+from daemon.link.attitude import angles_of, earth_angles
+from daemon.link.decode import Context, decode
+from daemon.link.message import from_pymavlink
 from mission import encode
 from mission.encode import Flavour, Item
 from mission.encode import constants as mav
@@ -243,6 +247,30 @@ def test_px4_turns_the_gimbal_ahead_where_a_mission_is_left_and_back_where_it_is
     ground.command(176, 1, 4, 4)
     ground.until(lambda: len(ground.vehicle.photos) == 5)
     assert ground.vehicle.body.gimbal_pitch_deg == aim
+
+
+@pytest.mark.parametrize("stabilised", [0.0, 1.0])
+def test_the_angles_of_servos_that_px4_holds_level(stabilised: float) -> None:
+    """Told, though with lock flags, as the servos stand; read as such they are the camera's."""
+    ground = Ground("px4", parameters=(("MNT_DO_STAB", stabilised),))
+    ground.command(511, 285, 1e5)
+    ground.command(511, 30, 1e5)
+    ground.start()
+    ground.until(lambda: len(ground.vehicle.photos) == 3)
+    told = {m.get_type(): m.pack(mavlink.MAVLink(None, 1, 1)) for m in ground.heard}
+    heard = {name: mavlink.MAVLink(None).parse_buffer(sent)[0] for name, sent in told.items()}
+    context = Context(ev.Autopilot.PX4, stabilised == 1)
+    vehicle = decode(from_pymavlink(heard["ATTITUDE"]), context)
+    gimbal = decode(from_pymavlink(heard["GIMBAL_DEVICE_ATTITUDE_STATUS"]), context)
+    assert isinstance(vehicle, ev.Attitude)
+    assert isinstance(gimbal, ev.GimbalAttitude)
+    assert abs(vehicle.angles.pitch_deg) > 3
+    earth = earth_angles(gimbal, vehicle.angles)
+    assert earth is not None
+    assert earth.pitch_deg == pytest.approx(-90, abs=1.0)
+    captured = angles_of(heard["CAMERA_IMAGE_CAPTURED"].q)
+    assert captured is not None
+    assert (abs(captured.pitch_deg + 90) < 0.1) is (stabilised == 0)
 
 
 def test_a_mission_cleared_in_flight() -> None:

@@ -133,10 +133,16 @@ class Telemetry:
         x, y, altitude = self.place(photo.believed_m)
         boot_s = photo.boot_s - 7.0 if camera_component else photo.boot_s
         index = photo.index - 1 if camera_component else photo.index
+        looks = quaternion(0.0, photo.pitch_deg, photo.yaw_deg)
+        if self._held_level and not camera_component:
+            # Of the mount's angles it takes for granted that they are level.
+            heading = quaternion(0.0, 0.0, -photo.yaw_deg)
+            body = quaternion(photo.vehicle_roll_deg, photo.vehicle_pitch_deg, 0.0)
+            looks = turned_back(heading, turned_back(body, quaternion(0.0, photo.pitch_deg, 0.0)))
         return mavlink.MAVLink_camera_image_captured_message(
             *(self.boot_ms(max(boot_s, 0.001)), self.utc_us(photo.boot_s), int(not camera_component), x, y),
             *(round(altitude * 1e3), round(photo.believed_m[2] * 1e3)),
-            *(quaternion(0.0, photo.pitch_deg, photo.yaw_deg), index, 1, b""),
+            *(looks, index, 1, b""),
         )
 
     def camera_pose(self, photo: PhotoTaken) -> MavMessage:
@@ -192,14 +198,19 @@ class Telemetry:
         )
 
     def _gimbal(self, now_s: float) -> MavMessage:
-        """ArduPilot's servo mount tells body angles, whatever its lock flags (roll, pitch) say."""
+        """A servo mount tells body angles, whatever its lock flags (roll, pitch) say."""
         body, nan = self.body, math.nan
         looks = quaternion(0.0, body.gimbal_pitch_deg, 0.0)
-        if self.options.flavour == "ardupilot":
+        if self._held_level:
             looks = turned_back(quaternion(body.roll_deg, -body.lean_deg, 0.0), looks)
         return mavlink.MAVLink_gimbal_device_attitude_status_message(
             *(0, 0, self.boot_ms(now_s), 4 | 8, looks, nan, nan, nan, 0)
         )
+
+    @property
+    def _held_level(self) -> bool:
+        """Whether the autopilot moves the mount's servos against the vehicle's turns: on PX4 if told to."""
+        return self.options.flavour == "ardupilot" or dict(self.options.parameters).get("MNT_DO_STAB") == 1
 
     def _mission_current(self, _: float) -> MavMessage:
         items = len(self.pilot.mission())
