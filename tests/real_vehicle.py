@@ -102,13 +102,14 @@ def arducopter(binary: str, folder: Path, speed_up: float) -> Iterator[RealVehic
 def px4(binary: str, folder: Path, speed_up: float) -> Iterator[RealVehicle]:
     """PX4's simulated quadcopter (SIH), ready to be armed, with a memory of its own in ``folder``.
 
-    Its links are udp: two to a companion computer for fieldcal and the camera, one to a ground station."""
+    Its links are UDP: those of ground stations for fieldcal and the pilot, a companion computer's for the camera.
+    """
     folder.mkdir()
     instance = _free_instance()
     link, camera = (_free_ports(0, 1) for _ in range(2))
     with _running(px4_words(binary, instance), folder, px4_environment(speed_up)):
-        for port in (link, camera):
-            px4_link(binary, instance, port)
+        px4_link(binary, instance, link, "normal")
+        px4_link(binary, instance, camera, "onboard")
         with Px4Pilot(f"udpout:127.0.0.1:{_PX4_GROUND + instance}", instance + 1) as pilot:
             pilot.wait_until_ready()
             yield RealVehicle("px4", f"udp://:{link}", f"udp://:{camera}", pilot)
@@ -128,7 +129,7 @@ def px4_environment(speed_up: float) -> dict[str, str]:
     return {**os.environ, **given}
 
 
-def px4_link(binary: str, instance: int, port: int, mode: str = "onboard") -> None:
+def px4_link(binary: str, instance: int, port: int, mode: str) -> None:
     """One more link of a running PX4, from the port above ``port`` to ``port`` of this computer."""
     client = str(Path(binary).with_name("px4-mavlink"))
     words = ["start", "-x", "-u", str(port + 1), "-o", str(port), "-r", "4000000", "-f", "-m", mode]
