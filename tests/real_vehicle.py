@@ -29,6 +29,8 @@ LOITER, GUIDED = 5, 4
 PX4_MISSION, PX4_HOLD = (4, 4), (4, 3)
 #: Its ground station's link is at this port and the number of the instance.
 _PX4_GROUND = 18570
+#: For a gimbal, and for a display of the simulation.
+_PX4_UNUSED = (13030, 19450)
 _GROUND_STATION = 255
 #: A vehicle whose sensors are calibrated, with a camera and a servo mount, which its simulator does not
 #: have by itself.
@@ -102,17 +104,28 @@ def arducopter(binary: str, folder: Path, speed_up: float) -> Iterator[RealVehic
 def px4(binary: str, folder: Path, speed_up: float) -> Iterator[RealVehicle]:
     """PX4's simulated quadcopter (SIH), ready to be armed, with a memory of its own in ``folder``.
 
-    Its links are UDP: those of ground stations for fieldcal and the pilot, a companion computer's for the camera.
+    fieldcal and the pilot have links as ground stations have them, the camera a companion computer's.
     """
     folder.mkdir()
     instance = _free_instance()
     link, camera = (_free_ports(0, 1) for _ in range(2))
     with _running(px4_words(binary, instance), folder, px4_environment(speed_up)):
-        px4_link(binary, instance, link, "normal")
-        px4_link(binary, instance, camera, "onboard")
+        px4_links(binary, folder, instance, link, camera)
         with Px4Pilot(f"udpout:127.0.0.1:{_PX4_GROUND + instance}", instance + 1) as pilot:
             pilot.wait_until_ready()
             yield RealVehicle("px4", f"udp://:{link}", f"udp://:{camera}", pilot)
+
+
+def px4_links(binary: str, folder: Path, instance: int, link: int, camera: int) -> None:
+    """Once it is up: two more links, each from the port above, for two that nobody listens to; it has six."""
+    log = folder / "vehicle.log"
+    wait_for(lambda: b"Startup script returned" in log.read_bytes(), 60.0)
+    words = [["stop", "-u", str(port + instance)] for port in _PX4_UNUSED]
+    for port, mode in ((link, []), (camera, ["-m", "onboard"])):
+        words.append(["start", "-x", "-u", str(port + 1), "-o", str(port), "-r", "4000000", "-f", *mode])
+    for given in words:
+        client = str(Path(binary).with_name("px4-mavlink"))
+        subprocess.run([client, "--instance", str(instance), *given], check=True, capture_output=True)
 
 
 def px4_words(binary: str, instance: int) -> list[str]:
@@ -127,18 +140,6 @@ def px4_environment(speed_up: float) -> dict[str, str]:
     given |= {f"PX4_HOME_{name}": f"{value:g}" for name, value in places.items()}
     given |= {f"PX4_PARAM_{name}": value for name, value in PX4_PARAMETERS.items()}
     return {**os.environ, **given}
-
-
-def px4_link(binary: str, instance: int, port: int, mode: str) -> None:
-    """One more link of a running PX4, from the port above ``port`` to ``port`` of this computer."""
-    client = str(Path(binary).with_name("px4-mavlink"))
-    words = ["start", "-x", "-u", str(port + 1), "-o", str(port), "-r", "4000000", "-f", "-m", mode]
-
-    def started() -> bool:
-        done = subprocess.run([client, "--instance", str(instance), *words], capture_output=True)
-        return done.returncode == 0
-
-    wait_for(started, 30.0)
 
 
 def _free_instance() -> int:
