@@ -187,6 +187,12 @@ def test_no_streams_until_asked_and_feedback_repeats_then() -> None:
     assert "CAMERA_FEEDBACK" not in names(ground.pass_s(2))
 
 
+def test_px4s_mission_current_is_no_stream() -> None:
+    ground = Ground("px4")
+    assert ground.command(511, mavlink.MAVLINK_MSG_ID_MISSION_CURRENT, 500_000) == 4  # FAILED
+    assert names(ground.pass_s(5)).count("MISSION_CURRENT") == 5
+
+
 def test_copter_loses_commands_when_a_mission_is_taken_up_again() -> None:
     """Interrupted between the aim and the photo of a stop: the photo by distance goes on outside AUTO."""
     ground = Ground("ardupilot")

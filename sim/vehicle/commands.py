@@ -52,7 +52,9 @@ class Commands:
 
     def _interval(self, item: Item) -> int:
         rate = 0.0 if item.param2 < 0 else 1.0 if item.param2 == 0 else 1e6 / item.param2
-        return ACCEPTED if self.telemetry.want(_name(item.param1), rate) else DENIED
+        if self.telemetry.want(_name(item.param1), rate):
+            return ACCEPTED
+        return DENIED if self._ardupilot else FAILED
 
     def _arm(self, item: Item) -> int:
         return ACCEPTED if self.pilot.arm(item.param1 == 1) else FAILED

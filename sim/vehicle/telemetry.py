@@ -66,16 +66,17 @@ class Telemetry:
 
     def want(self, name: str, rate_hz: float) -> bool:
         """Send ``name`` at a rate from now on (0: no more); False if it cannot be sent."""
-        if name not in _BUILDERS:
+        if name not in _BUILDERS or (name, self.options.flavour) == ("MISSION_CURRENT", "px4"):
             return False
         self.rates_hz[name] = rate_hz
         self._next_s.pop(name, None)
         return True
 
     def due(self, now_s: float) -> list[MavMessage]:
-        """Heartbeat each second, and the streams asked for."""
+        """Heartbeat each second, and the streams asked for. PX4's MISSION_CURRENT comes unasked."""
         out: list[MavMessage] = []
-        for name, rate in (("HEARTBEAT", 1.0), *self.rates_hz.items()):
+        unasked = ("HEARTBEAT",) if self.options.flavour == "ardupilot" else ("HEARTBEAT", "MISSION_CURRENT")
+        for name, rate in (*((name, 1.0) for name in unasked), *self.rates_hz.items()):
             if rate <= 0 or now_s < self._next_s.get(name, 0.0):
                 continue
             self._next_s[name] = max(self._next_s.get(name, now_s) + 1 / rate, now_s)
