@@ -31,6 +31,7 @@ PX4_MISSION, PX4_HOLD = (4, 4), (4, 3)
 _PX4_GROUND = 18570
 #: For a gimbal, and for a display of the simulation.
 _PX4_UNUSED = (13030, 19450)
+_OFF_S = 5.0
 _GROUND_STATION = 255
 #: A vehicle whose sensors are calibrated, with a camera and a servo mount, which its simulator does not
 #: have by itself.
@@ -74,12 +75,14 @@ PX4_PARAMETERS |= {"MNT_RANGE_PITCH": "180"}
 
 @dataclass(frozen=True)
 class RealVehicle:
-    """``link`` and ``camera``: addresses for fieldcal and for the camera beside it."""
+    """``link`` and ``camera``: addresses for fieldcal and for the camera beside it. ``power_cycle``: off, on,
+    and ready to be armed where it first stood (PX4)."""
 
     flavour: Flavour
     link: str
     camera: str
     pilot: Pilot
+    power_cycle: Callable[[], None] | None = None
 
 
 @contextmanager
@@ -107,13 +110,21 @@ def px4(binary: str, folder: Path, speed_up: float) -> Iterator[RealVehicle]:
     fieldcal and the pilot have links as ground stations have them, the camera a companion computer's.
     """
     folder.mkdir()
-    instance = _free_instance()
+    binary, instance = str(Path(binary).resolve()), _free_instance()
     link, camera = (_free_ports(0, 1) for _ in range(2))
-    with _running(px4_words(binary, instance), folder, px4_environment(speed_up)):
+    with _running(px4_words(binary, instance), folder, px4_environment(speed_up)) as anew:
         px4_links(binary, folder, instance, link, camera)
         with Px4Pilot(f"udpout:127.0.0.1:{_PX4_GROUND + instance}", instance + 1) as pilot:
             pilot.wait_until_ready()
-            yield RealVehicle("px4", f"udp://:{link}", f"udp://:{camera}", pilot)
+
+            def power_cycle() -> None:
+                anew()
+                pilot.newest.clear()
+                pilot.photos.clear()
+                px4_links(binary, folder, instance, link, camera)
+                pilot.wait_until_ready()
+
+            yield RealVehicle("px4", f"udp://:{link}", f"udp://:{camera}", pilot, power_cycle)
 
 
 def px4_links(binary: str, folder: Path, instance: int, link: int, camera: int) -> None:
@@ -155,23 +166,39 @@ def _free_instance() -> int:
 
 
 @contextmanager
-def _running(words: list[str], folder: Path, environment: dict[str, str] | None = None) -> Iterator[None]:
-    with (folder / "vehicle.log").open("wb") as log:
-        process = subprocess.Popen(
-            words,
-            cwd=folder,
-            env=environment,
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-        try:
-            yield
-        finally:
-            for pid in session(process.pid):
-                os.kill(pid, signal.SIGKILL)
-            process.wait()
+def _running(
+    words: list[str], folder: Path, environment: dict[str, str] | None = None
+) -> Iterator[Callable[[], None]]:
+    """A simulator; what is given ends it at once and starts it anew."""
+
+    def begun() -> subprocess.Popen[bytes]:
+        with (folder / "vehicle.log").open("wb") as log:
+            return subprocess.Popen(
+                words,
+                cwd=folder,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    def end() -> None:
+        for pid in session(process.pid):
+            os.kill(pid, signal.SIGKILL)
+        process.wait()
+
+    def anew() -> None:
+        nonlocal process
+        end()
+        time.sleep(_OFF_S)
+        process = begun()
+
+    process = begun()
+    try:
+        yield anew
+    finally:
+        end()
 
 
 def _free_ports(*offsets: int) -> int:

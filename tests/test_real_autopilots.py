@@ -41,13 +41,18 @@ LEFT = {"ardupilot": "back", "px4": "still there"}
 SIMULATORS = {"ardupilot": ("FIELDCAL_ARDUCOPTER", arducopter), "px4": ("FIELDCAL_PX4", px4)}
 
 
+@pytest.fixture
+def speed_up() -> float:
+    return SPEED_UP
+
+
 @pytest.fixture(params=["ardupilot", "px4"])
-def vehicle(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[RealVehicle]:
+def vehicle(request: pytest.FixtureRequest, tmp_path: Path, speed_up: float) -> Iterator[RealVehicle]:
     variable, started = SIMULATORS[request.param]
     binary = os.environ.get(variable)
     if not binary:
         pytest.skip(f"{variable} is not set: no simulator of this autopilot here")
-    with started(binary, tmp_path / "vehicle", SPEED_UP) as found:
+    with started(binary, tmp_path / "vehicle", speed_up) as found:
         yield found
 
 
@@ -181,6 +186,69 @@ def test_a_pass_is_uploaded_in_the_air(vehicle: RealVehicle, tmp_path: Path) -> 
     extra = len(load(new, vehicle.flavour).plan.stations)
     assert len(vehicle.pilot.photos) == nadir + extra
     pairs_are_right(tmp_path, vehicle.pilot.photos, photos)
+
+
+@pytest.mark.parametrize("vehicle", ["px4"], indirect=True)
+@pytest.mark.parametrize("speed_up", [1.0])
+def test_killed_and_switched_off_in_the_air(vehicle: RealVehicle, tmp_path: Path) -> None:
+    """Killed and gone on, the vehicle switched off and on: what was told while nobody listened is missing and
+    said, all else is paired, and right. Nothing is uploaded to a vehicle that flies its mission."""
+    mission = planned(tmp_path, vehicle)
+    assert upload(tmp_path, vehicle, mission).returncode == 0
+    write_reference_file(reference_of(SIZE), tmp_path / LENS)
+    taken = vehicle.pilot.photos
+    with photographed(tmp_path, vehicle) as photos:
+        words = (
+            "run",
+            "--photos",
+            photos,
+            "--link",
+            vehicle.link,
+            "--reference",
+            tmp_path / LENS,
+            "--no-live",
+        )
+        with working(tmp_path, *words) as process:
+            told = Told(process)
+            told.wait("The vehicle is heard")
+            vehicle.pilot.take_off()
+            wait_for(lambda: len(taken) >= 2, FLIGHT_S)
+            process.kill()
+            process.wait()
+        unheard = len(taken)
+        done = upload(tmp_path, vehicle, mission)
+        assert done.returncode == 2
+        assert "The vehicle is armed (its mode is mission)" in done.stderr
+        with working(tmp_path, "run", "--resume", *words[1:], "--json", tmp_path / "report.json") as process:
+            told = Told(process)
+            told.wait("The vehicle is heard")
+            unheard = len(taken) - unheard
+            wait_for(lambda: len(taken) >= 7, FLIGHT_S)
+            time.sleep(1.0)
+            first = len(taken)
+            assert vehicle.power_cycle is not None
+            vehicle.power_cycle()
+            holds(vehicle, mission)
+            vehicle.pilot.take_off()
+            told.wait("The vehicle has started anew")
+            assert process.wait(FLIGHT_S) in (0, 3, 4), "\n".join(told.lines)
+    again = len(load(mission, vehicle.flavour).plan.stations)
+    assert len(list(photos.glob("*.JPG"))) == first + again
+    with SessionReader.open(the_session(tmp_path)) as session:
+        recorded = session.pairing()
+        triggers = {row.seq: row.value for row in session.triggers()}
+        names = {row.seq: Path(row.value.path).name for row in session.photos()}
+    assert recorded is not None
+    files = sorted(names.values())
+    assert first + again - unheard - 1 <= len(triggers) <= first + again
+    sure = [pair for pair in recorded.value.pairs if pair.sure]
+    assert len(sure) == len(triggers)
+    order = []
+    for pair in sorted(sure, key=lambda pair: pair.trigger):
+        index, order = triggers[pair.trigger].image_index, [*order, files.index(names[pair.photo])]
+        assert index is not None
+        assert order[-1] in (index, index + first)
+    assert order == sorted(set(order))
 
 
 def pairs_are_right(home: Path, told: list[int], photos: Path) -> None:
