@@ -283,8 +283,8 @@ def _px4(found: Mapping[str, float]) -> list[Check]:
     )
     checks = [good if mode else bad]
     if mode in (1, 2):
-        text = "The camera takes photos by time (TRIG_MODE {:.0f}): missions need 4, by distance on command."
-        checks = [Check(Level.BAD, "camera", text.format(mode))]
+        text = f"The camera takes no photos by distance (TRIG_MODE {mode:.0f}): missions need 4."
+        checks = [Check(Level.BAD, "camera", text)]
     elif mode == 3:
         text = "The camera takes photos by distance all the time (TRIG_MODE 3): with 4 only on command."
         checks = [Check(Level.NOTE, "camera", text)]

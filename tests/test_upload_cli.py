@@ -173,7 +173,7 @@ def test_doctor_finds_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixtur
         ({}, None),
         ({"MNT_RANGE_PITCH": 90.0}, "stops at -45 degrees"),  # as it comes; a PX4 flew so
         ({"MNT_RANGE_PITCH": 90.0, "MNT_MODE_OUT": 2.0}, None),  # of servos only
-        ({"TRIG_MODE": 1.0}, "by time"),
+        ({"TRIG_MODE": 1.0}, "no photos by distance"),  # a PX4 took the first and last of each line so
         ({"TRIG_MODE": 3.0}, "all the time"),
     ],
 )
