@@ -32,7 +32,10 @@ ARDUPILOT_PARAMETERS = (
     *("CAM1_TYPE", "CAM1_INTRVAL_MIN", "CAM1_FEEDBAK_PIN", "MNT1_TYPE", "MNT1_PITCH_MIN", "FENCE_ENABLE"),
     *("SYSID_ENFORCE", "MAV_OPTIONS"),
 )
-PX4_PARAMETERS = ("TRIG_MODE", "TRIG_INTERFACE", "MNT_MODE_IN", "MNT_MODE_OUT", "GF_ACTION")
+PX4_PARAMETERS = (
+    *("TRIG_MODE", "TRIG_INTERFACE", "MNT_MODE_IN", "MNT_MODE_OUT", "MNT_RANGE_PITCH", "MNT_DO_STAB"),
+    "GF_ACTION",
+)
 
 
 class Level(StrEnum):
@@ -279,13 +282,22 @@ def _px4(found: Mapping[str, float]) -> list[Check]:
         Level.BAD, "camera", "No camera trigger is set up (TRIG_MODE is 0 or missing): no photo is taken."
     )
     checks = [good if mode else bad]
-    source = found.get("MNT_MODE_IN", -1.0)
+    if mode in (1, 2):
+        text = f"The camera takes no photos by distance (TRIG_MODE {mode:.0f}): missions need 4."
+        checks = [Check(Level.BAD, "camera", text)]
+    elif mode == 3:
+        text = "The camera takes photos by distance all the time (TRIG_MODE 3): with 4 only on command."
+        checks = [Check(Level.NOTE, "camera", text)]
+    source, range_deg = found.get("MNT_MODE_IN", -1.0), found.get("MNT_RANGE_PITCH", 180.0)
     if source < 0:
         checks.append(
             Check(
                 Level.NOTE, "gimbal", "No gimbal is set up (MNT_MODE_IN is -1): the camera cannot be aimed."
             )
         )
+    elif found.get("MNT_MODE_OUT") == 0 and range_deg < 180:
+        text = f"The gimbal stops at {-range_deg / 2:g} degrees (MNT_RANGE_PITCH {range_deg:g})"
+        checks.append(Check(Level.BAD, "gimbal", f"{text}: photos straight down need 180."))
     else:
         text = f"A gimbal is set up (MNT_MODE_IN {source:.0f})"
         ready = source == 4

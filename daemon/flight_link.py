@@ -19,6 +19,7 @@ from daemon.closing import Closing
 from daemon.link import events as ev
 from daemon.link.address import Address, Kind, log_path, parse
 from daemon.link.airborne import Airborne
+from daemon.link.decode import MOUNT_PARAMETERS
 from daemon.link.forward import Forward
 from daemon.link.live import Link
 from daemon.link.replay import Replay
@@ -244,10 +245,11 @@ class FlightLink(Closing):
             if self._silent:
                 self._news.append(("info", self._greeting(link)))
             self._heard, self._silent = True, False
-            if state.autopilot is ev.Autopilot.ARDUPILOT and not self._asked and state.system_id is not None:
+            names = MOUNT_PARAMETERS[state.autopilot]
+            if names and not self._asked and state.system_id is not None:
                 # Without it nobody knows whether its mount's angles are the body's.
                 self._asked = True
-                link.ask(ReadParameters(state.system_id, ("MNT1_TYPE",)))
+                link.ask(ReadParameters(state.system_id, names))
         elif self._heard or self._clock() - self._started_s > _FIRST_S:
             self._silent = True
             why = f" ({health.fault.rstrip('.')})" if health.fault else ""

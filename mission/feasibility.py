@@ -38,9 +38,10 @@ _USUAL = mav.FLOWN_TO | {
     *(mav.NAV_RETURN_TO_LAUNCH, mav.NAV_DELAY, mav.CONDITION_DELAY, mav.CONDITION_YAW, mav.DO_CHANGE_SPEED),
     *(mav.DO_SET_ROI_LOCATION, mav.DO_SET_ROI_NONE, mav.DO_SET_ROI, mav.DO_DIGICAM_CONTROL),
     *(mav.DO_MOUNT_CONTROL, mav.DO_SET_CAM_TRIGG_DIST, mav.DO_GIMBAL_MANAGER_PITCHYAW),
+    mav.DO_GIMBAL_MANAGER_CONFIGURE,
     *(mav.IMAGE_START_CAPTURE, mav.IMAGE_STOP_CAPTURE),
     # Trigger and gimbal set-up, camera mode, landing marker, jump: ground stations write them.
-    *(177, 189, 204, 214, 530, 1001, 2003),
+    *(177, 189, 204, 214, 530, 2003),
 }
 
 
@@ -70,7 +71,7 @@ def check_file(plan: ReadPlan, flavour: Flavour, vehicle: Place | None = None) -
         _heights(plan),
         _fence(plan),
         _photos(plan),
-        _commands(plan),
+        _commands(plan, flavour),
     )
 
 
@@ -214,14 +215,33 @@ def _photos(plan: ReadPlan) -> Finding:
     return Finding("photos", False, count > 0, float(count), None, "photos", message)
 
 
-def _commands(plan: ReadPlan) -> Finding:
-    strange = sorted({item.command for item in plan.items} - _USUAL)
+def _commands(plan: ReadPlan, flavour: Flavour) -> Finding:
+    commands = [item.command for item in plan.items]
+    strange = sorted(set(commands) - _USUAL)
     message = "All commands are those of a photo mission."
     if strange:
         message = (
             f"The mission holds commands that a photo mission does not need: {', '.join(map(str, strange))}."
         )
-    return Finding("commands", False, not strange, float(len(strange)), 0.0, "commands", message)
+    elif flavour == "px4" and _gimbal_not_taken(commands):
+        message = (
+            "The mission does not take the gimbal (DO_GIMBAL_MANAGER_CONFIGURE), so PX4 denies what it asks "
+            "of it, and the camera looks ahead: plan it again."
+        )
+    elif flavour == "px4" and mav.NAV_DELAY in commands:
+        message = (
+            "The mission waits with NAV_DELAY, during which PX4 of June 2025 to March 2026 can fly down: "
+            "plan it again."
+        )
+    else:
+        return Finding("commands", False, True, 0.0, 0.0, "commands", message)
+    return Finding("commands", False, False, float(max(len(strange), 1)), 0.0, "commands", message)
+
+
+def _gimbal_not_taken(commands: Sequence[int]) -> bool:
+    """A gimbal command comes before the one that gives it to the mission."""
+    asked, taken = mav.DO_GIMBAL_MANAGER_PITCHYAW, mav.DO_GIMBAL_MANAGER_CONFIGURE
+    return asked in commands and taken not in commands[: commands.index(asked)]
 
 
 def _waypoints(plan: ReadPlan) -> list[Item]:

@@ -14,7 +14,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar, Self
 
 from benchmarks.processes import session, wait_for
 from calib.frames import LocalFrame
@@ -25,6 +25,13 @@ HOME = LocalFrame(47.0, 8.5, 430.0)
 SET_MODE, ARM, START, SET_CURRENT, ASK_RATE = 176, 400, 300, 224, 511
 #: Copter does not arm in AUTO, in which it still is where its last mission ended.
 LOITER, GUIDED = 5, 4
+#: PX4's main and sub mode.
+PX4_MISSION, PX4_HOLD = (4, 4), (4, 3)
+#: Its ground station's link is at this port and the number of the instance.
+_PX4_GROUND = 18570
+#: For a gimbal, and for a display of the simulation.
+_PX4_UNUSED = (13030, 19450)
+_OFF_S = 5.0
 _GROUND_STATION = 255
 #: A vehicle whose sensors are calibrated, with a camera and a servo mount, which its simulator does not
 #: have by itself.
@@ -61,15 +68,21 @@ SERVO11_FUNCTION 7
 SERVO12_FUNCTION 6
 """
 
+#: Photos by command and distance, told over MAVLink; a servo mount that holds itself level.
+PX4_PARAMETERS = {"TRIG_MODE": "4", "TRIG_INTERFACE": "3", "MNT_MODE_IN": "4", "MNT_MODE_OUT": "0"}
+PX4_PARAMETERS |= {"MNT_RANGE_PITCH": "180"}
+
 
 @dataclass(frozen=True)
 class RealVehicle:
-    """``link`` and ``camera``: addresses for fieldcal and for the camera beside it."""
+    """``link`` and ``camera``: addresses for fieldcal and for the camera beside it. ``power_cycle``: off, on,
+    and ready to be armed where it first stood (PX4)."""
 
     flavour: Flavour
     link: str
     camera: str
     pilot: Pilot
+    power_cycle: Callable[[], None] | None = None
 
 
 @contextmanager
@@ -84,29 +97,108 @@ def arducopter(binary: str, folder: Path, speed_up: float) -> Iterator[RealVehic
     words += ["--defaults", "vehicle.parm", "--base-port", str(base), "--rc-in-port", str(others)]
     words += ["--sim-port-in", str(others + 1), "--sim-port-out", str(others + 2)]
     words += ["--irlock-port", str(others + 3)]
-    with _running(words, folder), Pilot(f"tcp:127.0.0.1:{base}") as pilot:
+    with _running(words, folder), CopterPilot(f"tcp:127.0.0.1:{base}") as pilot:
         pilot.wait_until_ready()
         link, camera = (f"tcp://127.0.0.1:{base + n}" for n in (2, 3))
         yield RealVehicle("ardupilot", link, camera, pilot)
 
 
 @contextmanager
-def _running(words: list[str], folder: Path) -> Iterator[None]:
-    with (folder / "vehicle.log").open("wb") as log:
-        process = subprocess.Popen(
-            words,
-            cwd=folder,
-            stdin=subprocess.DEVNULL,
-            stdout=log,
-            stderr=subprocess.STDOUT,
-            start_new_session=True,
-        )
-        try:
-            yield
-        finally:
-            for pid in session(process.pid):
-                os.kill(pid, signal.SIGKILL)
-            process.wait()
+def px4(binary: str, folder: Path, speed_up: float) -> Iterator[RealVehicle]:
+    """PX4's simulated quadcopter (SIH), ready to be armed, with a memory of its own in ``folder``.
+
+    fieldcal and the pilot have links as ground stations have them, the camera a companion computer's.
+    """
+    folder.mkdir()
+    binary, instance = str(Path(binary).resolve()), _free_instance()
+    link, camera = (_free_ports(0, 1) for _ in range(2))
+    with _running(px4_words(binary, instance), folder, px4_environment(speed_up)) as anew:
+        px4_links(binary, folder, instance, link, camera)
+        with Px4Pilot(f"udpout:127.0.0.1:{_PX4_GROUND + instance}", instance + 1) as pilot:
+            pilot.wait_until_ready()
+
+            def power_cycle() -> None:
+                anew()
+                pilot.newest.clear()
+                pilot.photos.clear()
+                px4_links(binary, folder, instance, link, camera)
+                pilot.wait_until_ready()
+
+            yield RealVehicle("px4", f"udp://:{link}", f"udp://:{camera}", pilot, power_cycle)
+
+
+def px4_links(binary: str, folder: Path, instance: int, link: int, camera: int) -> None:
+    """Once it is up: two more links, each from the port above, for two that nobody listens to; it has six."""
+    log = folder / "vehicle.log"
+    wait_for(lambda: b"Startup script returned" in log.read_bytes(), 60.0)
+    words = [["stop", "-u", str(port + instance)] for port in _PX4_UNUSED]
+    for port, mode in ((link, []), (camera, ["-m", "onboard"])):
+        words.append(["start", "-x", "-u", str(port + 1), "-o", str(port), "-r", "4000000", "-f", *mode])
+    for given in words:
+        client = str(Path(binary).with_name("px4-mavlink"))
+        subprocess.run([client, "--instance", str(instance), *given], check=True, capture_output=True)
+
+
+def px4_words(binary: str, instance: int) -> list[str]:
+    """Started in the folder that is its memory."""
+    return [binary, "-d", "-i", str(instance), str(Path(binary).parent.parent / "etc")]
+
+
+def px4_environment(speed_up: float) -> dict[str, str]:
+    given = {"PX4_SIMULATOR": "sihsim", "PX4_SIM_MODEL": "sihsim_quadx", "PX4_SYS_AUTOSTART": "10040"}
+    given |= {"PX4_SIM_SPEED_FACTOR": f"{speed_up:g}"}
+    places = {"LAT": HOME.latitude_deg, "LON": HOME.longitude_deg, "ALT": HOME.altitude_m}
+    given |= {f"PX4_HOME_{name}": f"{value:g}" for name, value in places.items()}
+    given |= {f"PX4_PARAM_{name}": value for name, value in PX4_PARAMETERS.items()}
+    return {**os.environ, **given}
+
+
+def _free_instance() -> int:
+    """A number that no PX4 on this computer has."""
+    while True:
+        number = random.randrange(10, 200)
+        with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as one:
+            try:
+                one.bind(("", _PX4_GROUND + number))
+            except OSError:
+                continue
+        return number
+
+
+@contextmanager
+def _running(
+    words: list[str], folder: Path, environment: dict[str, str] | None = None
+) -> Iterator[Callable[[], None]]:
+    """A simulator; what is given ends it at once and starts it anew."""
+
+    def begun() -> subprocess.Popen[bytes]:
+        with (folder / "vehicle.log").open("wb") as log:
+            return subprocess.Popen(
+                words,
+                cwd=folder,
+                env=environment,
+                stdin=subprocess.DEVNULL,
+                stdout=log,
+                stderr=subprocess.STDOUT,
+                start_new_session=True,
+            )
+
+    def end() -> None:
+        for pid in session(process.pid):
+            os.kill(pid, signal.SIGKILL)
+        process.wait()
+
+    def anew() -> None:
+        nonlocal process
+        end()
+        time.sleep(_OFF_S)
+        process = begun()
+
+    process = begun()
+    try:
+        yield anew
+    finally:
+        end()
 
 
 def _free_ports(*offsets: int) -> int:
@@ -128,11 +220,14 @@ class Pilot:
     """A ground station in a few lines. ``newest``: last message of each kind; ``photos``: numbers told of."""
 
     address: str
+    system_id: int = 1
     newest: dict[str, Any] = field(default_factory=dict)
     photos: list[int] = field(default_factory=list)
     said: list[str] = field(default_factory=list)
+    #: The message that tells of a photo, and its number there.
+    PHOTO: ClassVar[tuple[str, str]] = ("", "")
 
-    def __enter__(self) -> Pilot:
+    def __enter__(self) -> Self:
         self._link = _mavutil.mavlink_connection(self.address, source_system=_GROUND_STATION, retries=60)
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._listen, name="pilot", daemon=True)
@@ -151,11 +246,12 @@ class Pilot:
                 beat_s = time.monotonic()
                 self._link.mav.heartbeat_send(6, 8, 0, 0, 0)  # a ground station
             heard = self._link.recv_match(blocking=True, timeout=0.5)
-            if heard is None or heard.get_srcComponent() != 1:
+            if heard is None or (heard.get_srcSystem(), heard.get_srcComponent()) != (self.system_id, 1):
                 continue
             kind = heard.get_type()
-            if kind == "CAMERA_FEEDBACK" and heard.img_idx not in self.photos:
-                self.photos.append(heard.img_idx)
+            number = getattr(heard, self.PHOTO[1]) if kind == self.PHOTO[0] else None
+            if number is not None and number not in self.photos:
+                self.photos.append(number)
             elif kind == "STATUSTEXT":
                 self.said.append(heard.text)
             self.newest[kind] = heard
@@ -167,31 +263,27 @@ class Pilot:
     def wait_until_ready(self, timeout_s: float = 180.0) -> None:
         """The estimator knows where the vehicle is, and all checks before arming are passed."""
         wait_for(lambda: "HEARTBEAT" in self.newest, timeout_s)
-        for message in (1, 193, 242):  # SYS_STATUS, EKF_STATUS_REPORT, HOME_POSITION
-            self.command(ASK_RATE, message, 1e6)
+        self._ask()
         wait_for(self._ready, timeout_s)
 
+    def _ask(self) -> None:
+        """For what has to be known to be ready."""
+        raise NotImplementedError
+
     def _ready(self) -> bool:
-        estimator, status = self.newest.get("EKF_STATUS_REPORT"), self.newest.get("SYS_STATUS")
-        if estimator is None or status is None or "HOME_POSITION" not in self.newest:
-            return False
-        places = 1 << 4 | 1 << 9  # absolute position, known and predicted
-        return estimator.flags & places == places and bool(status.onboard_control_sensors_health & 1 << 28)
+        raise NotImplementedError
 
     def take_off(self) -> None:
         """Arm and start the mission."""
-        assert self.command(SET_MODE, 1, LOITER) == 0, self.said[-5:]
-        assert self.command(ARM, 1) == 0, self.said[-5:]
-        assert self.command(START) == 0, self.said[-5:]
+        raise NotImplementedError
 
     def hold(self) -> None:
-        """Stay in the air. LOITER would sink: the simulated stick is down."""
-        assert self.command(SET_MODE, 1, GUIDED) == 0, self.said[-5:]
+        """Stay in the air."""
+        raise NotImplementedError
 
     def restart(self) -> None:
         """The mission from its beginning, in the air."""
-        assert self.command(SET_CURRENT, 1, 1) == 0, self.said[-5:]
-        assert self.command(START) == 0, self.said[-5:]
+        raise NotImplementedError
 
     def command(self, number: int, *params: float, timeout_s: float = 30.0) -> int:
         """MAV_RESULT."""
@@ -199,7 +291,7 @@ class Pilot:
         given = [*params, *[0.0] * 7][:7]
         end = time.monotonic() + timeout_s
         while time.monotonic() < end:
-            self._link.mav.command_long_send(1, 1, number, 0, *given)
+            self._link.mav.command_long_send(self.system_id, 1, number, 0, *given)
             answer = self._answer("COMMAND_ACK", lambda heard: heard.command == number)
             if answer is not None:
                 return int(answer.result)
@@ -207,18 +299,18 @@ class Pilot:
 
     def holds(self) -> list[Item]:
         """The mission on board, as this program reads it."""
-        mav = self._link.mav
-        count = self._asked(lambda: mav.mission_request_list_send(1, 1, 0), "MISSION_COUNT", lambda _: True)
+        mav, us = self._link.mav, self.system_id
+        count = self._asked(lambda: mav.mission_request_list_send(us, 1, 0), "MISSION_COUNT", lambda _: True)
         found = []
         for number in range(count.count):
             one = self._asked(
-                lambda n=number: mav.mission_request_int_send(1, 1, n, 0),  # type: ignore[misc]
+                lambda n=number: mav.mission_request_int_send(us, 1, n, 0),  # type: ignore[misc]
                 "MISSION_ITEM_INT",
                 lambda heard, n=number: heard.seq == n,  # type: ignore[misc]
             )
             params = (one.param1, one.param2, one.param3, one.param4)
             found.append(Item(one.command, one.frame, *params, one.x, one.y, one.z, bool(one.autocontinue)))
-        mav.mission_ack_send(1, 1, 0, 0)
+        mav.mission_ack_send(us, 1, 0, 0)
         return found
 
     def _asked(self, ask: Callable[[], None], kind: str, fits: Callable[[Any], bool]) -> Any:
@@ -238,3 +330,54 @@ class Pilot:
                 return heard
             time.sleep(0.01)
         return None
+
+
+class CopterPilot(Pilot):
+    PHOTO = ("CAMERA_FEEDBACK", "img_idx")
+
+    def _ask(self) -> None:
+        for message in (1, 193, 242):  # SYS_STATUS, EKF_STATUS_REPORT, HOME_POSITION
+            self.command(ASK_RATE, message, 1e6)
+
+    def _ready(self) -> bool:
+        estimator, status = self.newest.get("EKF_STATUS_REPORT"), self.newest.get("SYS_STATUS")
+        if estimator is None or status is None or "HOME_POSITION" not in self.newest:
+            return False
+        places = 1 << 4 | 1 << 9  # absolute position, known and predicted
+        return estimator.flags & places == places and bool(status.onboard_control_sensors_health & 1 << 28)
+
+    def take_off(self) -> None:
+        assert self.command(SET_MODE, 1, LOITER) == 0, self.said[-5:]
+        assert self.command(ARM, 1) == 0, self.said[-5:]
+        assert self.command(START) == 0, self.said[-5:]
+
+    def hold(self) -> None:
+        """LOITER would sink: the simulated stick is down."""
+        assert self.command(SET_MODE, 1, GUIDED) == 0, self.said[-5:]
+
+    def restart(self) -> None:
+        assert self.command(SET_CURRENT, 1, 1) == 0, self.said[-5:]
+        assert self.command(START) == 0, self.said[-5:]
+
+
+class Px4Pilot(Pilot):
+    PHOTO = ("CAMERA_IMAGE_CAPTURED", "image_index")
+
+    def _ask(self) -> None:
+        """A ground station's link has it all."""
+
+    def _ready(self) -> bool:
+        status = self.newest.get("SYS_STATUS")
+        ready = status is not None and bool(status.onboard_control_sensors_health & 1 << 28)
+        return ready and "HOME_POSITION" in self.newest
+
+    def take_off(self) -> None:
+        assert self.command(SET_MODE, 1, *PX4_MISSION) == 0, self.said[-5:]
+        assert self.command(ARM, 1) == 0, self.said[-5:]
+
+    def hold(self) -> None:
+        assert self.command(SET_MODE, 1, *PX4_HOLD) == 0, self.said[-5:]
+
+    def restart(self) -> None:
+        """An uploaded mission is begun at its beginning."""
+        assert self.command(SET_MODE, 1, *PX4_MISSION) == 0, self.said[-5:]

@@ -58,16 +58,32 @@ def test_items_are_what_the_autopilots_take(plan: Plan) -> None:
         assert item.command not in (mav.CONDITION_YAW, mav.NAV_LOITER_TURNS)
 
 
+def stays(items: tuple[Item, ...], index: int) -> bool:
+    """A waypoint where the vehicle is already, as it is."""
+    here = replace(items[index], param1=0.0)
+    before = [one for one in items[:index] if one.command == mav.NAV_WAYPOINT]
+    return bool(before) and replace(before[-1], param1=0.0) == here
+
+
+def waits(items: tuple[Item, ...], index: int) -> float:
+    """Seconds that the vehicle waits here."""
+    held = items[index].command == mav.NAV_DELAY or stays(items, index)
+    return items[index].param1 if held else 0.0
+
+
 @both
 @settings(max_examples=30, deadline=None)
 @given(plan=plans())
 def test_taken_up_at_any_waypoint_the_rest_is_photographed(flavour: Flavour, plan: Plan) -> None:
-    """From any waypoint on, everything that begins there or later has its aim and its camera commands."""
+    """From any waypoint on, everything that begins there or later has its aim and its camera commands.
+
+    Not from where a vehicle only stays: PX4 itself runs the last commands again there.
+    """
     items = encode.items(plan, flavour)
     whole = encode.stations_of_items(items, plan.launch, flavour)
     first = next(i for i, item in enumerate(items) if item.command == mav.NAV_TAKEOFF)
     starts = [i for i in range(first + 1, len(items)) if items[i].command == mav.NAV_WAYPOINT]
-    for start in starts:
+    for start in [i for i in starts if not stays(items, i)]:
         rest = encode.stations_of_items(items[start:], plan.launch, flavour)
         # The photo at the end of the line flown to just then has nothing before it to aim it.
         line_end = items[start + 1].command == mav.IMAGE_START_CAPTURE
@@ -95,8 +111,7 @@ def test_each_photo_waits_for_gimbal_and_vehicle(flavour: Flavour) -> None:
     photos = [i for i, item in enumerate(items) if item.command == mav.IMAGE_START_CAPTURE]
     assert len(photos) == 8
     for index in photos:
-        assert items[index - 1].command == mav.NAV_DELAY
-        assert items[index - 1].param1 >= 3.0
+        assert waits(items, index - 1) >= 3.0
         assert items[index - 2].command in (mav.CONDITION_YAW, mav.DO_GIMBAL_MANAGER_PITCHYAW)
         assert items[index + 1] == replace(items[index - 1], param1=0.5)
 
@@ -120,8 +135,20 @@ def test_copter_keeps_the_heading_on_lines() -> None:
 def test_lines_that_go_on_do_not_stop(flavour: Flavour) -> None:
     bend = [Waypoint(100.0 * i, 0, 60 + i, 90.0, -90.0, Shot.LINE, 10.0) for i in range(4)]
     items = encode.items(plan_of(*bend, Waypoint(400, 0, 60)), flavour)
-    assert sum(item.command == mav.NAV_DELAY for item in items) == 2
+    assert sum(waits(items, index) > 0 for index in range(len(items))) == 2
     assert sum(item.command == mav.DO_SET_CAM_TRIGG_DIST and item.param1 == 0 for item in items) == 1
+
+
+@settings(max_examples=60, deadline=None)
+@given(plan=plans())
+def test_px4_always_has_a_place_while_it_waits_or_begins_a_line(plan: Plan) -> None:
+    """Where its home's height is corrected meanwhile it flies towards sea level else (flown)."""
+    items = encode.items(plan, "px4")
+    for index, item in enumerate(items):
+        assert item.command != mav.NAV_DELAY
+        if item.command == mav.DO_SET_CAM_TRIGG_DIST and item.param1 > 0:
+            goes_on = items[index - 2].command == mav.IMAGE_START_CAPTURE
+            assert goes_on or stays(items, index + 1)
 
 
 def test_home_takeoff_and_return() -> None:

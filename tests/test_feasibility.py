@@ -10,6 +10,8 @@ import pytest
 
 from mission import encode
 from mission.encode import Flavour, ReadPlan
+from mission.encode import constants as mav
+from mission.encode.items import wait
 from mission.feasibility import Place, check_file
 from mission.fence import Circle, Fence
 from tests.mission_plans import LAUNCH, line, orbit, plan_of
@@ -59,6 +61,17 @@ def test_each_rule_breaks(tmp_path: Path) -> None:
     assert "takes no photos" in _broken(replace(plan, stations=()))["photos"]
     armed = replace(items[0], command=400)
     assert "400" in _broken(replace(plan, items=(*items, armed)))["commands"]
+
+
+def test_px4s_gimbal_has_to_be_taken_and_its_delays_are_not_safe(tmp_path: Path) -> None:
+    """Flown: without the first the camera looked ahead on all photos, with the second PX4 flew down."""
+    plan = _read("px4", tmp_path)
+    taking = next(item for item in plan.items if item.command == mav.DO_GIMBAL_MANAGER_CONFIGURE)
+    without = tuple(item for item in plan.items if item is not taking)
+    assert "looks ahead" in _broken(replace(plan, items=without), "px4")["commands"]
+    assert "looks ahead" in _broken(replace(plan, items=(*without, taking)), "px4")["commands"]
+    waiting = (*plan.items[:4], wait(2.0), *plan.items[4:])
+    assert "can fly down" in _broken(replace(plan, items=waiting), "px4")["commands"]
 
 
 def test_where_the_vehicle_stands(tmp_path: Path) -> None:

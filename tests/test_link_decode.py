@@ -15,7 +15,7 @@ mavlink: Any = pytest.importorskip(
 from calib.errors import FormatError  # noqa: E402
 from daemon.link import events as ev  # noqa: E402
 from daemon.link.attitude import angles_of, earth_angles, quaternion_of  # noqa: E402
-from daemon.link.decode import Context, decode  # noqa: E402
+from daemon.link.decode import Context, decode, servo_mount  # noqa: E402
 from daemon.link.message import Message, from_mavsdk, from_pymavlink  # noqa: E402
 
 NAN = math.nan
@@ -99,6 +99,39 @@ def test_a_servo_mount_tells_body_angles_despite_its_lock_flags() -> None:
     unsure = gimbal(-67.5, 0.0, 4 | 8, Context(ev.Autopilot.ARDUPILOT))
     assert unsure.frame is ev.AngleFrame.UNSURE
     assert earth_angles(unsure, ev.Angles(0.0, 0.0, 0.0)) is None
+
+
+def test_servos_that_px4_holds_level_tell_body_angles_too() -> None:
+    """-54.4 was told, with both lock flags, of a camera straight down, the vehicle pitched by -35.5."""
+    stabilised = {"MNT_MODE_OUT": 0.0, "MNT_DO_STAB": 1.0}
+    assert servo_mount(ev.Autopilot.PX4, stabilised) is True
+    assert servo_mount(ev.Autopilot.PX4, stabilised | {"MNT_DO_STAB": 0.0}) is False  # it does that itself
+    assert servo_mount(ev.Autopilot.PX4, stabilised | {"MNT_MODE_OUT": 2.0}) is False
+    assert servo_mount(ev.Autopilot.PX4, {}) is None
+    context = Context(ev.Autopilot.PX4, servo_mount=True)
+    told = gimbal(-54.4, 0.0, 4 | 8, context)
+    assert told.frame is ev.AngleFrame.BODY
+    earth = earth_angles(told, ev.Angles(0.0, -35.5, 120.0))
+    assert earth is not None
+    assert earth.pitch_deg == pytest.approx(-89.9, abs=0.1)
+    assert gimbal(-54.4, 0.0, 4 | 8, context, component=154).frame is ev.AngleFrame.LEVEL
+    turned = mavlink.MAVLink_mount_orientation_message(1000, 1.0, -54.4, 0.0, 120.0)
+    assert read(turned, context) == ev.GimbalAttitude(
+        1.0, ev.Angles(1.0, pytest.approx(-54.4, abs=1e-4), 0.0), ev.AngleFrame.BODY
+    )
+
+
+def test_px4_tells_its_own_attitude_of_a_photo_without_a_gimbal() -> None:
+    """And with a servo mount, the turns of its servos with its heading: the camera's are in neither."""
+    q = list(quaternion_of(ev.Angles(1.0, -32.3, 19.6)))
+    message = mavlink.MAVLink_camera_image_captured_message(9, 0, 1, 1, 1, 1, 1, q, 4, 1, b"")
+    fixed = read(message, Context(ev.Autopilot.PX4, gimbal=False))
+    assert fixed.camera_angles is None
+    assert fixed.vehicle_angles.pitch_deg == pytest.approx(-32.3, abs=1e-3)
+    servos = read(message, Context(ev.Autopilot.PX4, servo_mount=True))
+    assert (servos.camera_angles, servos.vehicle_angles) == (None, None)
+    other = read(message, Context(ev.Autopilot.PX4, servo_mount=True, gimbal=False), component=100)
+    assert other.camera_angles.pitch_deg == pytest.approx(-32.3, abs=1e-3)
 
 
 def test_other_gimbals_tell_the_truth() -> None:

@@ -1,6 +1,7 @@
 """The whole loop beside an autopilot's own simulator: upload, photos, REFLY, the extra pass, TRUST.
 
-``FIELDCAL_ARDUCOPTER`` names ArduPilot's simulator (``arducopter``); skipped without it.
+``FIELDCAL_ARDUCOPTER`` names ArduPilot's simulator (``arducopter``), ``FIELDCAL_PX4`` PX4's (``px4``, in the
+folder of a build for ``px4_sitl_default``); skipped without.
 """
 
 from __future__ import annotations
@@ -25,7 +26,7 @@ from daemon.session.reader import SessionReader
 from mission.encode import compare
 from sim.demo import CAMERA, FLY_IT, LENS, reference_of
 from sim.truth import read_truth
-from tests.real_vehicle import HOME, RealVehicle, arducopter
+from tests.real_vehicle import HOME, RealVehicle, arducopter, px4
 from tests.test_run_cli import fieldcal, the_session, working
 from tests.test_sim_camera import wait_until_ready
 
@@ -35,14 +36,23 @@ SPEED_UP = 4.0
 FLIGHT_S = 600.0
 #: DO_SET_ROI_SYSID: not taken in a mission.
 REFUSED = 198
+#: The good items of a refused mission stay on ArduPilot; PX4 takes all or none.
+LEFT = {"ardupilot": "back", "px4": "still there"}
+SIMULATORS = {"ardupilot": ("FIELDCAL_ARDUCOPTER", arducopter), "px4": ("FIELDCAL_PX4", px4)}
 
 
 @pytest.fixture
-def vehicle(tmp_path: Path) -> Iterator[RealVehicle]:
-    binary = os.environ.get("FIELDCAL_ARDUCOPTER")
+def speed_up() -> float:
+    return SPEED_UP
+
+
+@pytest.fixture(params=["ardupilot", "px4"])
+def vehicle(request: pytest.FixtureRequest, tmp_path: Path, speed_up: float) -> Iterator[RealVehicle]:
+    variable, started = SIMULATORS[request.param]
+    binary = os.environ.get(variable)
     if not binary:
-        pytest.skip("FIELDCAL_ARDUCOPTER is not set: no ArduPilot simulator here")
-    with arducopter(binary, tmp_path / "vehicle", SPEED_UP) as found:
+        pytest.skip(f"{variable} is not set: no simulator of this autopilot here")
+    with started(binary, tmp_path / "vehicle", speed_up) as found:
         yield found
 
 
@@ -77,7 +87,7 @@ def refused(home: Path, vehicle: RealVehicle, mission: Path) -> None:
     bad.write_text(json.dumps(file))
     done = upload(home, vehicle, bad)
     assert done.returncode == 2
-    assert "The old mission is back, read back and compared." in done.stderr
+    assert f"The old mission is {LEFT[vehicle.flavour]}, read back and compared." in done.stderr
     holds(vehicle, mission)
 
 
@@ -167,7 +177,8 @@ def test_a_pass_is_uploaded_in_the_air(vehicle: RealVehicle, tmp_path: Path) -> 
             vehicle.pilot.hold()
             told.wait(FLY_IT)
             assert vehicle.pilot.armed
-            assert told.count("restart the mission")
+            # PX4 begins a new mission at its beginning.
+            assert told.count("restart the mission") == (vehicle.flavour == "ardupilot")
             new = the_session(tmp_path) / "refly" / "pass.plan"
             holds(vehicle, new)
             vehicle.pilot.restart()
@@ -175,6 +186,69 @@ def test_a_pass_is_uploaded_in_the_air(vehicle: RealVehicle, tmp_path: Path) -> 
     extra = len(load(new, vehicle.flavour).plan.stations)
     assert len(vehicle.pilot.photos) == nadir + extra
     pairs_are_right(tmp_path, vehicle.pilot.photos, photos)
+
+
+@pytest.mark.parametrize("vehicle", ["px4"], indirect=True)
+@pytest.mark.parametrize("speed_up", [1.0])
+def test_killed_and_switched_off_in_the_air(vehicle: RealVehicle, tmp_path: Path) -> None:
+    """Killed and gone on, the vehicle switched off and on: what was told while nobody listened is missing and
+    said, all else is paired, and right. Nothing is uploaded to a vehicle that flies its mission."""
+    mission = planned(tmp_path, vehicle)
+    assert upload(tmp_path, vehicle, mission).returncode == 0
+    write_reference_file(reference_of(SIZE), tmp_path / LENS)
+    taken = vehicle.pilot.photos
+    with photographed(tmp_path, vehicle) as photos:
+        words = (
+            "run",
+            "--photos",
+            photos,
+            "--link",
+            vehicle.link,
+            "--reference",
+            tmp_path / LENS,
+            "--no-live",
+        )
+        with working(tmp_path, *words) as process:
+            told = Told(process)
+            told.wait("The vehicle is heard")
+            vehicle.pilot.take_off()
+            wait_for(lambda: len(taken) >= 2, FLIGHT_S)
+            process.kill()
+            process.wait()
+        unheard = len(taken)
+        done = upload(tmp_path, vehicle, mission)
+        assert done.returncode == 2
+        assert "The vehicle is armed (its mode is mission)" in done.stderr
+        with working(tmp_path, "run", "--resume", *words[1:], "--json", tmp_path / "report.json") as process:
+            told = Told(process)
+            told.wait("The vehicle is heard")
+            unheard = len(taken) - unheard
+            wait_for(lambda: len(taken) >= 7, FLIGHT_S)
+            time.sleep(1.0)
+            first = len(taken)
+            assert vehicle.power_cycle is not None
+            vehicle.power_cycle()
+            holds(vehicle, mission)
+            vehicle.pilot.take_off()
+            told.wait("The vehicle has started anew")
+            assert process.wait(FLIGHT_S) in (0, 3, 4), "\n".join(told.lines)
+    again = len(load(mission, vehicle.flavour).plan.stations)
+    assert len(list(photos.glob("*.JPG"))) == first + again
+    with SessionReader.open(the_session(tmp_path)) as session:
+        recorded = session.pairing()
+        triggers = {row.seq: row.value for row in session.triggers()}
+        names = {row.seq: Path(row.value.path).name for row in session.photos()}
+    assert recorded is not None
+    files = sorted(names.values())
+    assert first + again - unheard - 1 <= len(triggers) <= first + again
+    sure = [pair for pair in recorded.value.pairs if pair.sure]
+    assert len(sure) == len(triggers)
+    order = []
+    for pair in sorted(sure, key=lambda pair: pair.trigger):
+        index, order = triggers[pair.trigger].image_index, [*order, files.index(names[pair.photo])]
+        assert index is not None
+        assert order[-1] in (index, index + first)
+    assert order == sorted(set(order))
 
 
 def pairs_are_right(home: Path, told: list[int], photos: Path) -> None:

@@ -167,6 +167,25 @@ def test_doctor_finds_what_is_wrong(tmp_path: Path, capsys: pytest.CaptureFixtur
     assert "No vehicle was heard" in " ".join(capsys.readouterr().out.split())
 
 
+@pytest.mark.parametrize(
+    ("settings", "words"),
+    [
+        ({}, None),
+        ({"MNT_RANGE_PITCH": 90.0}, "stops at -45 degrees"),  # as it comes; a PX4 flew so
+        ({"MNT_RANGE_PITCH": 90.0, "MNT_MODE_OUT": 2.0}, None),  # of servos only
+        ({"TRIG_MODE": 1.0}, "no photos by distance"),  # a PX4 took the first and last of each line so
+        ({"TRIG_MODE": 3.0}, "all the time"),
+    ],
+)
+def test_doctor_looks_at_px4s_camera_and_gimbal(settings: dict[str, float], words: str | None) -> None:
+    beat = Heartbeat(Autopilot.PX4, False, "hold", False, True)
+    usual = {"TRIG_MODE": 4.0, "MNT_MODE_IN": 4.0, "MNT_MODE_OUT": 0.0, "MNT_RANGE_PITCH": 180.0}
+    state = LinkState(latest={Heartbeat: beat}, parameters={**usual, **settings})
+    said = [c for c in vehicle(state, LinkHealth(), Streams(), 0.0) if c.topic in ("camera", "gimbal")]
+    assert sum(c.level != "good" for c in said) == (words is not None)
+    assert words is None or words in " ".join(c.sentence for c in said)
+
+
 @pytest.mark.parametrize("found", [{"SYSID_ENFORCE": 1.0}, {"MAV_OPTIONS": 1.0}, {"MAV_OPTIONS": 2.0}])
 def test_doctor_knows_the_one_station_of_either_version(found: dict[str, float]) -> None:
     """ArduPilot 4.7 has no SYSID_ENFORCE any more: it is a bit of MAV_OPTIONS (measured)."""

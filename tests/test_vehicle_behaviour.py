@@ -11,13 +11,18 @@ import pytest
 
 pytest.importorskip("pymavlink", reason="pip install fieldcal[flight]")
 
+from daemon.link import events as ev
+from daemon.link.attitude import angles_of, earth_angles
+from daemon.link.decode import Context, decode
+from daemon.link.message import from_pymavlink
 from mission import encode
 from mission.encode import Flavour, Item
+from mission.encode import constants as mav
 from mission.encode.items import do
 from sim.vehicle import Faults, Vehicle, VehicleOptions
 from sim.vehicle.dialect import mavlink
 from sim.vehicle.faults import FaultyLink
-from tests.mission_plans import LAUNCH, line, orbit, plan_of
+from tests.mission_plans import LAUNCH, line, orbit, plan_of, triggered
 
 PLAN = plan_of(*line(60.0, 10.0, 30.0), *orbit(6, radius=25.0, height=30.0), speed_m_s=5.0)
 
@@ -182,6 +187,12 @@ def test_no_streams_until_asked_and_feedback_repeats_then() -> None:
     assert "CAMERA_FEEDBACK" not in names(ground.pass_s(2))
 
 
+def test_px4s_mission_current_is_no_stream() -> None:
+    ground = Ground("px4")
+    assert ground.command(511, mavlink.MAVLINK_MSG_ID_MISSION_CURRENT, 500_000) == 4  # FAILED
+    assert names(ground.pass_s(5)).count("MISSION_CURRENT") == 5
+
+
 def test_copter_loses_commands_when_a_mission_is_taken_up_again() -> None:
     """Interrupted between the aim and the photo of a stop: the photo by distance goes on outside AUTO."""
     ground = Ground("ardupilot")
@@ -211,6 +222,61 @@ def test_px4_stops_the_photos_and_goes_back() -> None:
     reached = [m.seq for m in ground.heard if m.get_type() == "MISSION_ITEM_REACHED"]
     assert len(reached) > len(set(reached))  # repeats
     assert not {CAM for CAM in names(ground.heard) if CAM == "CAMERA_FEEDBACK"}
+
+
+def test_px4_turns_its_gimbal_only_for_whom_it_is_given_to() -> None:
+    """A mission that does not take the gimbal looks ahead on all photos (flown with PX4)."""
+    items = encode.items(PLAN, "px4")
+    without = [item for item in items if item.command != mav.DO_GIMBAL_MANAGER_CONFIGURE]
+    assert len(without) == len(items) - 1
+    for mission, taken in ((items, True), (without, False)):
+        ground = Ground("px4")
+        assert ground.upload(mission) == 0
+        assert ground.command(400, 1) == 0
+        assert ground.command(300) == 0
+        ground.until(lambda: ground.vehicle.done)  # noqa: B023
+        level = [photo.pitch_deg == 0 for photo in ground.vehicle.photos]
+        assert len(level) == len(triggered(PLAN))
+        assert not any(level) if taken else all(level)
+    assert Ground("px4").command(1000, -90.0) == 2  # DENIED
+
+
+def test_px4_turns_the_gimbal_ahead_where_a_mission_is_left_and_back_where_it_is_taken_up() -> None:
+    ground = Ground("px4")
+    ground.start()
+    ground.until(lambda: len(ground.vehicle.photos) == 3)
+    aim = ground.vehicle.body.gimbal_pitch_deg
+    assert aim < -80
+    ground.command(176, 1, 4, 3)
+    ground.pass_s(3)
+    assert ground.vehicle.body.gimbal_pitch_deg == 0
+    ground.command(176, 1, 4, 4)
+    ground.until(lambda: len(ground.vehicle.photos) == 5)
+    assert ground.vehicle.body.gimbal_pitch_deg == aim
+
+
+@pytest.mark.parametrize("stabilised", [0.0, 1.0])
+def test_the_angles_of_servos_that_px4_holds_level(stabilised: float) -> None:
+    """Told, though with lock flags, as the servos stand; read as such they are the camera's."""
+    ground = Ground("px4", parameters=(("MNT_DO_STAB", stabilised),))
+    ground.command(511, 285, 1e5)
+    ground.command(511, 30, 1e5)
+    ground.start()
+    ground.until(lambda: len(ground.vehicle.photos) == 3)
+    told = {m.get_type(): m.pack(mavlink.MAVLink(None, 1, 1)) for m in ground.heard}
+    heard = {name: mavlink.MAVLink(None).parse_buffer(sent)[0] for name, sent in told.items()}
+    context = Context(ev.Autopilot.PX4, stabilised == 1)
+    vehicle = decode(from_pymavlink(heard["ATTITUDE"]), context)
+    gimbal = decode(from_pymavlink(heard["GIMBAL_DEVICE_ATTITUDE_STATUS"]), context)
+    assert isinstance(vehicle, ev.Attitude)
+    assert isinstance(gimbal, ev.GimbalAttitude)
+    assert abs(vehicle.angles.pitch_deg) > 3
+    earth = earth_angles(gimbal, vehicle.angles)
+    assert earth is not None
+    assert earth.pitch_deg == pytest.approx(-90, abs=1.0)
+    captured = angles_of(heard["CAMERA_IMAGE_CAPTURED"].q)
+    assert captured is not None
+    assert (abs(captured.pitch_deg + 90) < 0.1) is (stabilised == 0)
 
 
 def test_a_mission_cleared_in_flight() -> None:

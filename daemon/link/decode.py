@@ -9,7 +9,7 @@ from __future__ import annotations
 
 import math
 import struct
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 
 from daemon.link import events as ev
@@ -28,11 +28,32 @@ _HEARTBEAT_TYPES_NOT_FLYING = frozenset({5, 6, 18, 26, 27, 30})  # tracker, grou
 
 @dataclass(frozen=True)
 class Context:
-    """What else has to be known to read a message. ``servo_mount``: ArduPilot's MNT1_TYPE is 1 (its
-    angles are the body's, whatever its flags say); None: the parameter has not been read."""
+    """What else has to be known to read a message. ``servo_mount``: a mount that the autopilot itself holds
+    level (see :func:`servo_mount`), so its angles are the body's, whatever its flags say; None: not known.
+    ``gimbal``: the vehicle has told of one."""
 
     autopilot: ev.Autopilot = ev.Autopilot.OTHER
     servo_mount: bool | None = None
+    gimbal: bool = True
+
+
+#: What tells of a servo mount.
+MOUNT_PARAMETERS: Mapping[ev.Autopilot, tuple[str, ...]] = {
+    ev.Autopilot.ARDUPILOT: ("MNT1_TYPE",),
+    ev.Autopilot.PX4: ("MNT_MODE_OUT", "MNT_DO_STAB"),
+    ev.Autopilot.OTHER: (),
+}
+
+
+def servo_mount(autopilot: ev.Autopilot, parameters: Mapping[str, float]) -> bool | None:
+    """Whether the autopilot moves a mount's servos against the vehicle's turns; None: not known.
+
+    ArduPilot's servo mount; PX4's servos (MNT_MODE_OUT 0) where it stabilises all axes (MNT_DO_STAB 1).
+    """
+    found = [parameters.get(name) for name in MOUNT_PARAMETERS[autopilot]]
+    if not found or None in found:
+        return None
+    return found == ([1.0] if autopilot is ev.Autopilot.ARDUPILOT else [0.0, 1.0])
 
 
 def decode(message: Message, context: Context) -> ev.Event | None:
@@ -95,6 +116,8 @@ def _gimbal(m: Message, context: Context) -> ev.Event | None:
     if context.autopilot is ev.Autopilot.ARDUPILOT and m.component_id == _AUTOPILOT_COMPONENT:
         # Only a separate gimbal component measures itself; a servo mount repeats its servos' angles.
         frame = {True: ev.AngleFrame.BODY, False: claimed, None: ev.AngleFrame.UNSURE}[context.servo_mount]
+    elif context.servo_mount and m.component_id == _AUTOPILOT_COMPONENT:
+        frame = ev.AngleFrame.BODY
     return ev.GimbalAttitude(m.integer("time_boot_ms") / 1e3, angles, frame)
 
 
@@ -104,13 +127,15 @@ def _mount(m: Message, context: Context) -> ev.Event:
     return ev.GimbalAttitude(None, ev.Angles(roll, pitch, yaw % 360), frame)
 
 
-def _mount_orientation(m: Message, _: Context) -> ev.Event | None:
+def _mount_orientation(m: Message, context: Context) -> ev.Event | None:
     """PX4: pitch and roll from the horizon, yaw from the nose or (where given) from north."""
     roll, pitch, yaw = (m.number(name) for name in ("roll", "pitch", "yaw"))
     north = m.number("yaw_absolute")
     if roll is None or pitch is None or (yaw is None and north is None):
         return None
     frame = ev.AngleFrame.LEVEL if north is None else ev.AngleFrame.EARTH
+    if context.servo_mount:
+        north, frame = None, ev.AngleFrame.BODY
     found = north if north is not None else yaw or 0.0
     return ev.GimbalAttitude(m.integer("time_boot_ms") / 1e3, ev.Angles(roll, pitch, found % 360), frame)
 
@@ -161,6 +186,7 @@ def _captured(m: Message, context: Context) -> ev.Event:
     """``relative_alt`` is the height above home, but on PX4 the distance to the ground (not passed on).
 
     The boot time is the sender's: a separate camera has its own clock, so only the autopilot's counts.
+    PX4's attitude is the vehicle's where it has no gimbal, and neither's with a servo mount (measured).
     """
     place = _place(m, "lat", "lon")
     placed = place is not None
@@ -168,6 +194,9 @@ def _captured(m: Message, context: Context) -> ev.Event:
     above_home = placed and context.autopilot is not ev.Autopilot.PX4
     _, utc_s = _either(m.integer("time_utc"))
     boot_ms = m.integer("time_boot_ms")
+    angles = _camera_angles(m)
+    of_px4 = own_clock and context.autopilot is ev.Autopilot.PX4
+    of_camera = not of_px4 or (context.gimbal and not context.servo_mount)
     return ev.PhotoReport(
         # Beside PX4's own report of a photo its camera's may come: two sources, each with its numbers.
         ev.PhotoSource.CAPTURED if own_clock else ev.PhotoSource.CAMERA,
@@ -180,7 +209,8 @@ def _captured(m: Message, context: Context) -> ev.Event:
         longitude_deg=place[1] if place else None,
         altitude_msl_m=m.integer("alt") / 1e3 if placed else None,
         height_m=m.integer("relative_alt") / 1e3 if above_home else None,
-        camera_angles=_camera_angles(m),
+        vehicle_angles=angles if of_px4 and not context.gimbal else None,
+        camera_angles=angles if of_camera else None,
         confirmed={1: True, 0: False}.get(m.integer("capture_result", -1)),
         url=m.text("file_url"),
     )

@@ -180,5 +180,5 @@ class LinkState:
         return replace(self, time_base=base, _asked_ns=left)
 
     def _context(self) -> decode.Context:
-        mount = self.parameters.get("MNT1_TYPE")
-        return decode.Context(self.autopilot, None if mount is None else mount == 1)
+        mount = decode.servo_mount(self.autopilot, self.parameters)
+        return decode.Context(self.autopilot, mount, self.last(ev.GimbalAttitude) is not None)

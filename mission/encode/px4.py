@@ -5,11 +5,18 @@
   known, waypoints carry the yaw, and the vehicle holds it on the way there. So the end of a line
   carries the line's yaw, and a second waypoint at the same place turns to another one.
 * Only straight legs: orbits are waypoints.
+* A gimbal turns only for whom it has been given to: without DO_GIMBAL_MANAGER_CONFIGURE the mission's
+  own gimbal commands are denied without a word, and the camera looks ahead on all photos. Once is
+  enough: PX4 runs it again itself where a mission is taken up in its middle.
+* No NAV_DELAY: a PX4 that corrects its home's height in the air (main from June 2025 to March 2026) flies
+  down towards sea level while an item without a place lasts, and on the leg after it (flown: 11 m on a
+  line of 60 m). So a wait is a waypoint that is held, and one stands between the last command and a line.
 * Rates of a gimbal command are NaN ("as fast as it goes"), as the MAVLink definition has it.
 """
 
 from __future__ import annotations
 
+import math
 from dataclasses import replace
 
 import numpy as np
@@ -33,7 +40,6 @@ from mission.encode.items import (
     speed,
     takeoff_height_m,
     trigger_gap_m,
-    wait,
 )
 from mission.encode.roi import roi_items
 from mission.plan import Plan, Shot, Waypoint
@@ -65,21 +71,26 @@ def items(plan: Plan, aim: Aim = "angles") -> tuple[Item, ...]:
         if before is not None and before.shot is Shot.LINE:
             out += [replace(place, param4=_yaw_deg(before)), photo()]
             if not line_goes_on(before, waypoint):
-                out += [no_more_photos(), wait(SHUTTER_S)]
+                out += [no_more_photos(), _stay(replace(place, param4=_yaw_deg(before)), SHUTTER_S)]
                 if waypoint.shot is not Shot.NONE and yaw != _yaw_deg(before):
                     out.append(replace(place, param4=yaw))
         else:
             out.append(replace(place, param4=yaw))
         if waypoint.shot is not Shot.NONE and not line_goes_on(before, waypoint):
-            out += [_gimbal(waypoint) if roi is None else roi, wait(plan.vehicle.settle_s)]
+            if roi is None and not any(one.command == mav.DO_GIMBAL_MANAGER_CONFIGURE for one in out):
+                out.append(_take_gimbal())
+            here = replace(place, param4=yaw)
+            out += [_gimbal(waypoint) if roi is None else roi, _stay(here, plan.vehicle.settle_s)]
         if waypoint.shot is Shot.STOP:
-            out += [photo(), wait(SHUTTER_S)]
+            out += [photo(), _stay(replace(place, param4=yaw), SHUTTER_S)]
             if roi is not None and (index + 1 == len(rois) or rois[index + 1] is None):
                 out.append(do(mav.DO_SET_ROI_NONE))
         if waypoint.shot is Shot.LINE:
             if line_goes_on(before, waypoint):
                 out.append(_gimbal(waypoint))
             out.append(every(trigger_gap_m(waypoint, plan.waypoints[index + 1])))
+            if not line_goes_on(before, waypoint):
+                out.append(_stay(replace(place, param4=yaw), 0.0))
         before = waypoint
     if at and plan.return_height_m > at[-1].z + 0.5:
         out.append(replace(at[-1], param4=NAN, z=centimetres(plan.return_height_m)))
@@ -91,8 +102,18 @@ def _place(x: int, y: int, height_m: float) -> Item:
     return Item(mav.NAV_WAYPOINT, mav.GLOBAL_RELATIVE_ALT, x=x, y=y, z=height_m)
 
 
+def _stay(here: Item, seconds: float) -> Item:
+    """A waypoint where the vehicle is already, held to a tenth of a second upwards."""
+    return replace(here, param1=math.ceil(seconds * 10 - 1e-6) / 10)
+
+
 def _yaw_deg(waypoint: Waypoint) -> float:
     return waypoint.yaw_deg % 360
+
+
+def _take_gimbal() -> Item:
+    """The gimbal is the mission's (-2) from here on; whoever had it as second keeps it (-1)."""
+    return do(mav.DO_GIMBAL_MANAGER_CONFIGURE, -2.0, -2.0, -1.0, -1.0)
 
 
 def _gimbal(waypoint: Waypoint) -> Item:

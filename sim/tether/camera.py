@@ -11,6 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from daemon.link import events as ev
+from daemon.link.decode import MOUNT_PARAMETERS
 from daemon.link.live import Link
 from daemon.link.transfer import ReadParameters
 from sim.tether.offering import Offering
@@ -134,10 +135,10 @@ class Camera:
                 self._ask_mount()
 
     def _ask_mount(self) -> None:
-        """ArduPilot's gimbal angles mean what the kind of mount says."""
-        vehicle = self._link.state.system_id
-        if vehicle is not None and self._link.state.autopilot is ev.Autopilot.ARDUPILOT:
-            self._link.run(ReadParameters(vehicle, ["MNT1_TYPE"]))
+        """A gimbal's angles mean what the kind of mount says."""
+        vehicle, names = self._link.state.system_id, MOUNT_PARAMETERS[self._link.state.autopilot]
+        if vehicle is not None and names:
+            self._link.run(ReadParameters(vehicle, names))
 
     def _make_ground(self) -> None:
         if self._studio is not None:

@@ -52,7 +52,9 @@ class Commands:
 
     def _interval(self, item: Item) -> int:
         rate = 0.0 if item.param2 < 0 else 1.0 if item.param2 == 0 else 1e6 / item.param2
-        return ACCEPTED if self.telemetry.want(_name(item.param1), rate) else DENIED
+        if self.telemetry.want(_name(item.param1), rate):
+            return ACCEPTED
+        return DENIED if self._ardupilot else FAILED
 
     def _arm(self, item: Item) -> int:
         return ACCEPTED if self.pilot.arm(item.param1 == 1) else FAILED
@@ -96,6 +98,10 @@ class Commands:
         self.pilot.do(item)
         return ACCEPTED
 
+    def _gimbal(self, item: Item) -> int:
+        """PX4 obeys whom the gimbal was given to; a ground station never asks for it here."""
+        return self._camera_or_gimbal(item) if self._ardupilot else DENIED
+
 
 _COMMANDS: dict[int, Callable[[Commands, Item], int]] = {
     mavlink.MAV_CMD_SET_MESSAGE_INTERVAL: Commands._interval,
@@ -109,7 +115,7 @@ _COMMANDS: dict[int, Callable[[Commands, Item], int]] = {
     mavlink.MAV_CMD_IMAGE_START_CAPTURE: Commands._photo,
     mavlink.MAV_CMD_DO_DIGICAM_CONTROL: Commands._photo,
     mavlink.MAV_CMD_DO_SET_CAM_TRIGG_DIST: Commands._camera_or_gimbal,
-    mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: Commands._camera_or_gimbal,
+    mavlink.MAV_CMD_DO_GIMBAL_MANAGER_PITCHYAW: Commands._gimbal,
     mavlink.MAV_CMD_DO_CHANGE_SPEED: Commands._camera_or_gimbal,
     mavlink.MAV_CMD_DO_SET_ROI_LOCATION: Commands._camera_or_gimbal,
     mavlink.MAV_CMD_DO_SET_ROI: Commands._camera_or_gimbal,

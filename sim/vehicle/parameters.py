@@ -25,6 +25,8 @@ _PX4 = {
     "TRIG_INTERFACE": (3.0, _INT32),
     "MNT_MODE_IN": (4.0, _INT32),
     "MNT_MODE_OUT": (0.0, _INT32),
+    "MNT_DO_STAB": (0.0, _INT32),
+    "MNT_RANGE_PITCH": (180.0, _REAL),
     "GF_ACTION": (2.0, _INT32),
 }
 

@@ -25,6 +25,7 @@ RETURN_HEIGHT_M = {"ardupilot": 15.0, "px4": 30.0}
 #: A corner sharper than this is stopped at.
 STRAIGHT_DEG = 5.0
 _CLOSE_M = 0.05
+_TRIGGERS = frozenset({mav.DO_SET_CAM_TRIGG_DIST, mav.IMAGE_START_CAPTURE, mav.IMAGE_STOP_CAPTURE})
 #: Items that take their time; all others are commands.
 FLOWN = NAVIGATION
 
@@ -385,13 +386,22 @@ class CopterPilot(Pilot):
 @dataclass
 class Px4Pilot(Pilot):
     """PX4: one item after the other; waypoints carry the yaw and are reached when it is; leaving the
-    mission stops the photos, and coming back starts at an earlier waypoint."""
+    mission stops the photos. Taken up again after a command for photos it begins at the place before the
+    one it was left at, and there the command is run once more, beside what follows there anyway.
 
+    ``owns_gimbal``: whether the mission may turn it. It is given to the mission by a command of its own,
+    without which the others are denied. Leaving the mission turns it ahead and takes it away; a mission that
+    is taken up in its middle has its last commands for the gimbal run again."""
+
+    owns_gimbal: bool = False
     _started: int = -1
+    _left: int = -1
+    _again: tuple[int, Item] | None = None
 
     def changed(self) -> None:
         """Another mission starts anew; without one the vehicle holds."""
         self.current, self._started, self.stage = 0, -1, MissionStage.NOT_STARTED
+        self._left, self._again = -1, None
         self.camera.by_distance(0.0)
         if self.flying and self.mode is Mode.MISSION:
             if self.mission():
@@ -417,21 +427,47 @@ class Px4Pilot(Pilot):
         """By the message MISSION_SET_CURRENT only."""
         if reset or not 0 <= item < len(self.mission()):
             return False
-        self.current, self._started = item, -1
+        self.current, self._started, self._left = item, -1, -1
         return True
 
     def _enter_mission(self) -> None:
         if self.stage is MissionStage.COMPLETE:
             self.current = 0
         self.stage, self._started = MissionStage.ACTIVE, -1
+        before = self.mission()[: self.current]
+        for command in (mav.DO_GIMBAL_MANAGER_CONFIGURE, mav.DO_GIMBAL_MANAGER_PITCHYAW):
+            last = [item for item in before if item.command == command]
+            if last:
+                self.do(last[-1])
+        shots = [item for item in before if item.command in _TRIGGERS]
+        if self._left > 0 and shots and (shots[-1].command != mav.DO_SET_CAM_TRIGG_DIST or shots[-1].param1):
+            earlier = [i for i, item in enumerate(before[: self._left - 1]) if item.command in mav.FLOWN_TO]
+            if earlier:
+                self.current, self._again = earlier[-1], (earlier[-1], shots[-1])
+        self._left = -1
+
+    def do(self, item: Item) -> bool:
+        if item.command == mav.DO_GIMBAL_MANAGER_CONFIGURE:
+            if item.param1 in (-2, -3):
+                self.owns_gimbal = item.param1 == -2
+            return True
+        if item.command == mav.DO_GIMBAL_MANAGER_PITCHYAW and not self.owns_gimbal:
+            return False
+        return super().do(item)
+
+    def _return(self) -> None:
+        self._free_gimbal()
+        super()._return()
+
+    def _free_gimbal(self) -> None:
+        self.owns_gimbal, self.body.look_at_m = False, None
+        self.body.gimbal_pitch_goal_deg = 0.0
 
     def _leave_mission(self) -> None:
         self.camera.by_distance(0.0)
+        self._free_gimbal()
         if self.stage is MissionStage.ACTIVE:
-            self.stage = MissionStage.PAUSED
-            items = self.mission()
-            while self.current > 0 and items[self.current].command != mav.NAV_WAYPOINT:
-                self.current -= 1
+            self.stage, self._left, self._again = MissionStage.PAUSED, self.current, None
 
     def _step_mission(self, dt_s: float) -> None:
         items = self.mission()
@@ -449,6 +485,9 @@ class Px4Pilot(Pilot):
             if item.command in FLOWN:
                 self.reached += [self.current, self.current]
             self.current = min(self.current + 1, len(items))
+            if self._again is not None and self.current > self._again[0]:
+                self.do(self._again[1])
+                self._again = None
 
     def _start(self, item: Item) -> None:
         if item.command == mav.NAV_RETURN_TO_LAUNCH:

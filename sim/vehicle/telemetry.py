@@ -66,16 +66,17 @@ class Telemetry:
 
     def want(self, name: str, rate_hz: float) -> bool:
         """Send ``name`` at a rate from now on (0: no more); False if it cannot be sent."""
-        if name not in _BUILDERS:
+        if name not in _BUILDERS or (name, self.options.flavour) == ("MISSION_CURRENT", "px4"):
             return False
         self.rates_hz[name] = rate_hz
         self._next_s.pop(name, None)
         return True
 
     def due(self, now_s: float) -> list[MavMessage]:
-        """Heartbeat each second, and the streams asked for."""
+        """Heartbeat each second, and the streams asked for. PX4's MISSION_CURRENT comes unasked."""
         out: list[MavMessage] = []
-        for name, rate in (("HEARTBEAT", 1.0), *self.rates_hz.items()):
+        unasked = ("HEARTBEAT",) if self.options.flavour == "ardupilot" else ("HEARTBEAT", "MISSION_CURRENT")
+        for name, rate in (*((name, 1.0) for name in unasked), *self.rates_hz.items()):
             if rate <= 0 or now_s < self._next_s.get(name, 0.0):
                 continue
             self._next_s[name] = max(self._next_s.get(name, now_s) + 1 / rate, now_s)
@@ -129,14 +130,20 @@ class Telemetry:
         return mavlink.MAVLink_camera_trigger_message(round(photo.boot_s * 1e6), photo.index)
 
     def captured(self, photo: PhotoTaken, camera_component: bool) -> MavMessage:
-        """CAMERA_IMAGE_CAPTURED: of PX4 itself, or of a separate camera on its own clock."""
+        """CAMERA_IMAGE_CAPTURED: of PX4 (always camera 1), or of a separate camera on its own clock."""
         x, y, altitude = self.place(photo.believed_m)
         boot_s = photo.boot_s - 7.0 if camera_component else photo.boot_s
         index = photo.index - 1 if camera_component else photo.index
+        looks = quaternion(0.0, photo.pitch_deg, photo.yaw_deg)
+        if self._held_level and not camera_component:
+            # Of the mount's angles it takes for granted that they are level.
+            heading = quaternion(0.0, 0.0, -photo.yaw_deg)
+            body = quaternion(photo.vehicle_roll_deg, photo.vehicle_pitch_deg, 0.0)
+            looks = turned_back(heading, turned_back(body, quaternion(0.0, photo.pitch_deg, 0.0)))
         return mavlink.MAVLink_camera_image_captured_message(
-            *(self.boot_ms(max(boot_s, 0.001)), self.utc_us(photo.boot_s), 0, x, y),
+            *(self.boot_ms(max(boot_s, 0.001)), self.utc_us(photo.boot_s), int(not camera_component), x, y),
             *(round(altitude * 1e3), round(photo.believed_m[2] * 1e3)),
-            *(quaternion(0.0, photo.pitch_deg, photo.yaw_deg), index, 1, b""),
+            *(looks, index, 1, b""),
         )
 
     def camera_pose(self, photo: PhotoTaken) -> MavMessage:
@@ -192,14 +199,19 @@ class Telemetry:
         )
 
     def _gimbal(self, now_s: float) -> MavMessage:
-        """ArduPilot's servo mount tells body angles, whatever its lock flags (roll, pitch) say."""
+        """A servo mount tells body angles, whatever its lock flags (roll, pitch) say."""
         body, nan = self.body, math.nan
         looks = quaternion(0.0, body.gimbal_pitch_deg, 0.0)
-        if self.options.flavour == "ardupilot":
+        if self._held_level:
             looks = turned_back(quaternion(body.roll_deg, -body.lean_deg, 0.0), looks)
         return mavlink.MAVLink_gimbal_device_attitude_status_message(
             *(0, 0, self.boot_ms(now_s), 4 | 8, looks, nan, nan, nan, 0)
         )
+
+    @property
+    def _held_level(self) -> bool:
+        """Whether the autopilot moves the mount's servos against the vehicle's turns: on PX4 if told to."""
+        return self.options.flavour == "ardupilot" or dict(self.options.parameters).get("MNT_DO_STAB") == 1
 
     def _mission_current(self, _: float) -> MavMessage:
         items = len(self.pilot.mission())
