@@ -10,13 +10,13 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from benchmarks.refly_cases import LoopCase, generator, loop_case
 from benchmarks.refly_world import World, flown, world_of
 from benchmarks.verdict_score import NAN, NO_RESULT
 from benchmarks.verdict_truth import true_dome_percent
 from benchmarks.verdict_world import TrueReference, reference_of
+from calib.align.adjust import BoolArray
 from calib.check import conclude
 from calib.errors import AlignmentError
 from calib.findings import State
@@ -148,7 +148,7 @@ def score(case: LoopCase) -> LoopScore:
 
 
 def checked(
-    block: SimBlock, case: LoopCase, held: TrueReference, standing: NDArray[np.bool_] | None = None
+    block: SimBlock, case: LoopCase, held: TrueReference, standing: BoolArray | None = None
 ) -> tuple[Checked, CheckResult | None]:
     """The field check on what was seen; ``standing`` (k,): photos that it knows were taken standing."""
     truth = block.lens.brown

@@ -49,13 +49,12 @@ _SHAPES = {
     "brown": (len(BROWN_NAMES),),
     "brown_covariance": (len(BROWN_NAMES), len(BROWN_NAMES)),
 }
-#: Arrays that a file may lack.
-_OPTIONAL = {
+_OF_REFERENCE = {
     "reference_covariance": (len(LENS_NAMES), len(LENS_NAMES)),
     "reference_field_px": (len(FIELD_NAMES),),
-    "way_information": ("k", 3, 3),
 }
-_WAYS: Final = "way_information"
+#: Arrays that a file may lack.
+_OPTIONAL = _OF_REFERENCE | {"way_information": ("k", 3, 3)}
 #: What reading a damaged file may end in; a flipped bit may ask for a password (RuntimeError).
 _DAMAGE = (ValueError, KeyError, EOFError, OSError, RuntimeError, zipfile.BadZipFile, zlib.error)
 _MAY_BE_INFINITE = ("centre_sigma_m", "rotation_sigma_rad", "lens_sigma")
@@ -213,9 +212,10 @@ def network_bytes(check: FlownCheck) -> bytes:
         files=check.files,
     )
     text = about.model_dump_json(by_alias=True)
-    optional = {name: array for name in _OPTIONAL if (array := getattr(check, name, None)) is not None}
-    if known.way_information is not None:
-        optional[_WAYS] = known.way_information
+    given = {name: getattr(check, name) for name in _OF_REFERENCE} | {
+        "way_information": known.way_information
+    }
+    optional = {name: array for name, array in given.items() if array is not None}
     out = io.BytesIO()
     np.savez_compressed(
         out,
@@ -291,7 +291,7 @@ def _ways(arrays: dict[str, FloatArray], about: _About, k: int) -> FloatArray | 
     """``Known.way_information``; ValueError where it is none."""
     if about.shutter_sigma_m is not None:
         return np.tile(np.eye(3) / about.shutter_sigma_m**2, (k, 1, 1))
-    ways = arrays.get(_WAYS)
+    ways = arrays.get("way_information")
     if ways is not None and not (np.linalg.eigvalsh(ways).min() > 0):
         raise ValueError("ways that are known to no sigma")
     return ways
@@ -335,6 +335,6 @@ def _made(arrays: dict[str, FloatArray], about: _About) -> FlownCheck:
         launch_up_m=about.launch_up_m,
         photos=about.photos,
         geotag_fault=about.geotag_fault,
-        **{name: a.get(name) for name in _OPTIONAL if name != _WAYS},
+        **{name: a.get(name) for name in _OF_REFERENCE},
         files=about.files,
     )

@@ -86,8 +86,8 @@ class PassFinder:
         added: list[Photo] = []
         if not self.found.survey and not self.alone:
             added = self._survey(self.found.record.survey)
-        one = {p.path for p in (*self.found.photos, *self.found.survey, *added) if p is not None}
         stood = {p.path for p in self.found.photos if p is not None}
+        one = stood | {p.path for p in (*self.found.survey, *added)}
         return [
             replace(p, joined=True, standing=p.path in stood) if p.path in one else p
             for p in with_levels([*photos, *added])

@@ -8,9 +8,7 @@ from __future__ import annotations
 
 from pathlib import Path
 
-import numpy as np
-from numpy.typing import NDArray
-
+from calib.align.adjust import BoolArray
 from calib.align.child import Outcome, measured
 from calib.align.georeference import place, read_tags
 from calib.align.selfcal import Calibrated
@@ -72,7 +70,7 @@ def outcome_of(
     seed: int,
     reference: Reference | None,
     camera: CameraIdentity | None = None,
-    standing: NDArray[np.bool_] | None = None,
+    standing: BoolArray | None = None,
 ) -> tuple[Outcome, Calibrated]:
     """Self-calibrate a simulated survey and measure all that the verdict rests on.
 

@@ -3,9 +3,8 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib.align.adjust import Priors, State
+from calib.align.adjust import BoolArray, Priors, State
 from calib.align.georeference import GIMBAL_SIGMA_DEG, LEAST_SIGMA_M
 from calib.align.selfcal import Calibrated, calibrate, with_lens_priors
 from calib.camera import BrownCamera
@@ -40,7 +39,7 @@ def start_of(block: SimBlock, nominal_f_px: float, seed: int, points_sigma_m: fl
 
 
 def calibrate_block(
-    block: SimBlock, nominal_f_px: float, seed: int, standing: NDArray[np.bool_] | None = None
+    block: SimBlock, nominal_f_px: float, seed: int, standing: BoolArray | None = None
 ) -> Calibrated:
     """Self-calibrate a simulated survey as an alignment of its photos would.
 

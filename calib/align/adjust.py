@@ -127,7 +127,7 @@ class Adjustment:
         return other
 
     @property
-    def _q(self) -> int:
+    def per_photo(self) -> int:
         """Unknowns a photo: 6, or 9 with a rolling shutter."""
         return 6 if self.priors.way_information is None else 9
 
@@ -223,7 +223,7 @@ class Adjustment:
         by_cam[:, :, 2] = -np.einsum("nij,nj->ni", by_ray, rays) * inv_z[:, None]
         by_cam *= root[:, None, None]
         by_point = by_cam @ state.rotations[obs.photo]
-        q = self._q
+        q = self.per_photo
         by_pose = np.empty((len(obs), 2, q))
         # d in_cam / d omega = -[in_cam]x, hence by_cam @ -[q]x = cross(q, by_cam rows).
         by_pose[:, :, :3] = np.cross(in_cam[:, None, :], by_cam)
@@ -486,7 +486,7 @@ class Adjustment:
         rest = reduced(top, lin, 0.0)
         whole = rest.matrix
         k, p = top.n_photos, int(free.sum())
-        q = self._q
+        q = self.per_photo
         cc, cl, ll = whole[: q * k, : q * k], whole[: q * k, q * k :], whole[q * k :, q * k :]
         scale = 1 / np.sqrt(np.maximum(np.diag(cc), 1e-300))
         factor = scipy.linalg.cho_factor(cc * np.outer(scale, scale) + 1e-14 * np.eye(q * k), lower=True)
@@ -500,7 +500,7 @@ class Adjustment:
         residual = self.residuals_px(state)
         redundancy = (
             2 * len(obs)
-            - self._q * k
+            - self.per_photo * k
             - 3 * top.n_points
             - p
             + 3 * int(self._has_centre.sum())

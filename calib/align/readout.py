@@ -10,11 +10,9 @@ from __future__ import annotations
 import math
 
 import numpy as np
-from numpy.typing import NDArray
 
+from calib.align.adjust import BoolArray
 from calib.camera import FloatArray
-
-BoolArray = NDArray[np.bool_]
 
 #: Standard deviations. Along a line, or level where there is none, as a share of the distance to the ground:
 #: 8 m/s for 30 ms at 60 m. That is of the mean of all ways, too: they go forward in every photo, and small

@@ -249,7 +249,7 @@ def block_correlation(adjustment: Adjustment, result: Adjusted) -> float:
         obs.photo,
         obs.pixels,
         (brown.width, brown.height),
-        6 if adjustment.priors.way_information is None else 9,
+        adjustment.per_photo,
     )
 
 

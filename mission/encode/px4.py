@@ -68,29 +68,30 @@ def items(plan: Plan, aim: Aim = "angles") -> tuple[Item, ...]:
     for index, (waypoint, place) in enumerate(zip(plan.waypoints, at, strict=True)):
         roi = rois[index]
         yaw = NAN if roi is not None or waypoint.shot is Shot.NONE else _yaw_deg(waypoint)
+        here, goes_on = replace(place, param4=yaw), line_goes_on(before, waypoint)
         if before is not None and before.shot is Shot.LINE:
-            out += [replace(place, param4=_yaw_deg(before)), photo()]
-            if not line_goes_on(before, waypoint):
-                out += [no_more_photos(), _stay(replace(place, param4=_yaw_deg(before)), SHUTTER_S)]
-                if waypoint.shot is not Shot.NONE and yaw != _yaw_deg(before):
-                    out.append(replace(place, param4=yaw))
+            end = replace(place, param4=_yaw_deg(before))
+            out += [end, photo()]
+            if not goes_on:
+                out += [no_more_photos(), _stay(end, SHUTTER_S)]
+                if waypoint.shot is not Shot.NONE and yaw != end.param4:
+                    out.append(here)
         else:
-            out.append(replace(place, param4=yaw))
-        if waypoint.shot is not Shot.NONE and not line_goes_on(before, waypoint):
+            out.append(here)
+        if waypoint.shot is not Shot.NONE and not goes_on:
             if roi is None and not any(one.command == mav.DO_GIMBAL_MANAGER_CONFIGURE for one in out):
                 out.append(_take_gimbal())
-            here = replace(place, param4=yaw)
             out += [_gimbal(waypoint) if roi is None else roi, _stay(here, plan.vehicle.settle_s)]
         if waypoint.shot is Shot.STOP:
-            out += [photo(), _stay(replace(place, param4=yaw), SHUTTER_S)]
+            out += [photo(), _stay(here, SHUTTER_S)]
             if roi is not None and (index + 1 == len(rois) or rois[index + 1] is None):
                 out.append(do(mav.DO_SET_ROI_NONE))
         if waypoint.shot is Shot.LINE:
-            if line_goes_on(before, waypoint):
+            if goes_on:
                 out.append(_gimbal(waypoint))
             out.append(every(trigger_gap_m(waypoint, plan.waypoints[index + 1])))
-            if not line_goes_on(before, waypoint):
-                out.append(_stay(replace(place, param4=yaw), 0.0))
+            if not goes_on:
+                out.append(_stay(here, 0.0))
         before = waypoint
     if at and plan.return_height_m > at[-1].z + 0.5:
         out.append(replace(at[-1], param4=NAN, z=centimetres(plan.return_height_m)))
