@@ -209,11 +209,12 @@ def zero_tangent(adjustment: Adjustment, state: State, free_f: bool = False) -> 
     weights = (np.ones(len(adjustment.obs)), np.ones(len(state.centres_m)))
     adjusted = adjustment.run(state, free, 0, weights=weights, response=True)
     assert adjusted.point_response is not None  # asked for
-    response = adjusted.point_response[:, :, 1:]
+    by_lens = adjusted.point_response[:, :, free]
+    response = by_lens[:, :, 1:]
     if free_f:
         normal = adjusted.lens_normal
         follow = -normal[0, 1:] / normal[0, 0]
-        response = response + adjusted.point_response[:, :, :1] * follow
+        response = response + by_lens[:, :, :1] * follow
     points = state.points_m
     half = float(np.ptp(points[:, 0])) / 2
     middle = (points.max(axis=0) + points.min(axis=0)) / 2

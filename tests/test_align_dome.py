@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 from align_blocks import INDEX, block_adjustment, loose_priors, small, solved, truth_of
 
+from calib.align.adjust import BoolArray
 from calib.align.dome import (
     aligned_difference_m,
     dome_amplitude_m,
@@ -160,3 +161,44 @@ def test_ground_that_only_oblique_photos_see_is_not_the_sites() -> None:
     # Where most photos are oblique, what they see was meant.
     assert site(0, 3, 35, 30, 40) == list(range(9))
     assert site(0, 0, 0, 0, 0) == list(range(9))
+
+
+def test_ground_that_only_an_extra_pass_sees_is_not_the_sites() -> None:
+    """As many oblique photos as straight ones, and they see more ground than these."""
+    survey = [(photo, point) for point in range(40) for photo in (0, 1)]
+    survey += [(photo, point) for point in range(40, 140) for photo in (2, 3)]
+    photo, point = np.array(survey).T
+    obs = Observations(photo, point, np.zeros((len(survey), 2)), np.ones(len(survey)))
+    passes = np.array([False, False, True, True])
+
+    def count(rotations: FloatArray, standing: BoolArray | None) -> int:
+        return int(of_the_site(rotations, obs, 140, standing).sum())
+
+    nadir_first = rotation_looking(70.0 * np.arange(4), np.array([0.0, 3, 35, 40]))
+    assert count(nadir_first, passes) == 40
+    assert count(nadir_first, None) == 140
+    # Of a survey that is oblique itself all the ground counts, of its pass none.
+    assert count(rotation_looking(70.0 * np.arange(4), np.full(4, 35.0)), passes) == 40
+    # All photos from standing: there is no pass to tell from a survey.
+    assert count(nadir_first, np.ones(4, bool)) == 140
+
+
+def test_a_move_of_a_parameter_that_the_model_holds_bends_no_ground_of_its_own() -> None:
+    """K4 instead of K1 to K3: the lens's terms move far, each bends the model, together they do not."""
+    _, base = solved("A3", 4, 300)
+    free = base.adjusted.free.copy()
+    assert not free[INDEX["k4"]]
+    free[INDEX["k4"]] = True
+    weights = (base.adjusted.weights, base.adjusted.position_weights)
+    other = base.adjustment.run(base.adjusted.state, free, weights=weights)
+    move = other.state.lens.vector - base.adjusted.state.lens.vector
+    dome = predict_dome(base, np.outer(move, move), None, 60.0)
+    true_m = abs(dome_amplitude_m(
+        base.adjusted.state.points_m,
+        aligned_difference_m(other.state.points_m, base.adjusted.state.points_m)[:, 2],
+    ))  # fmt: skip
+    without_k4 = np.where(np.arange(len(move)) == INDEX["k4"], 0.0, move)
+    apart_m = predict_dome(base, np.outer(without_k4, without_k4), None, 60.0).sigma_m
+    # Second-order terms of a move of thousands of sigmas of single terms remain.
+    assert dome.sigma_m == pytest.approx(true_m, abs=0.005 * apart_m)
+    assert apart_m > 100 * dome.sigma_m

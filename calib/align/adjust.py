@@ -67,7 +67,8 @@ class Adjusted:
     ``lens_normal`` (p, p): normal matrix of the free lens parameters with poses and points
     eliminated, for unit variance factor. ``chi2``: weighted square sum of everything at the end.
     ``sigma0``: square root of the variance factor, 1 when the a-priori sigmas are right.
-    ``point_response`` (m, 3, p): d points / d lens with the block re-adjusted around it.
+    ``point_response`` (m, 3, 35): d points / d lens with the block re-adjusted around it, for held
+    parameters too: other models move them.
     """
 
     state: State
@@ -382,8 +383,7 @@ class Adjustment:
             if last or iterations >= max_iterations or (converged and round_ and iterations - before <= 1):
                 break
             weights = self._robust_weights(state)
-        lin = self._linearise(state, free, weights)
-        return self._finish(state, free, weights, lin, iterations, converged, response)
+        return self._finish(state, free, weights, iterations, converged, response)
 
     def _descend(
         self,
@@ -477,13 +477,13 @@ class Adjustment:
         state: State,
         free: BoolArray,
         weights: tuple[FloatArray, FloatArray],
-        lin: Linear,
         iterations: int,
         converged: bool,
         response: bool,
     ) -> Adjusted:
         obs, top = self.obs, self.topology
-        rest = reduced(top, lin, 0.0)
+        columns = np.ones_like(free) if response else free
+        rest = reduced(top, self._linearise(state, columns, weights), 0.0)
         whole = rest.matrix
         k, p = top.n_photos, int(free.sum())
         q = self.per_photo
@@ -492,10 +492,10 @@ class Adjustment:
         factor = scipy.linalg.cho_factor(cc * np.outer(scale, scale) + 1e-14 * np.eye(q * k), lower=True)
         pose_by_lens = -scipy.linalg.cho_solve(factor, cl * scale[:, None]) * scale[:, None]
         normal = ll + cl.T @ pose_by_lens
-        normal = (normal + normal.T) / 2
+        normal = ((normal + normal.T) / 2)[np.ix_(free[columns], free[columns])]
         point_response = None
         if response:
-            back = -(rest.sparse.T @ pose_by_lens).reshape(-1, 3, p) - rest.b_l
+            back = -(rest.sparse.T @ pose_by_lens).reshape(-1, 3, len(free)) - rest.b_l
             point_response = rest.inverse_root.transpose(0, 2, 1) @ back
         residual = self.residuals_px(state)
         redundancy = (

@@ -11,12 +11,14 @@ from calib.align.rotations import similarity_tangent
 from calib.align.selfcal import Calibrated, hold
 from calib.camera import FloatArray
 from calib.evidence import CONVERGENT_DEG
-from calib.field import LENS_NAMES, Lens
+from calib.field import Lens
 from calib.similarity import fit_similarity
 from calib.solution import Dome, Observations
 
 #: Points that the lens leaves open so many times as much as the middle one do not count for the dome.
 UNSETTLED = 100.0
+#: A surface with six coefficients needs so many points of the survey.
+FEWEST_OF_SITE = 30
 
 
 def site_radius_m(points_m: FloatArray) -> float:
@@ -70,18 +72,24 @@ def _settled(response: FloatArray, covariance: FloatArray) -> BoolArray:
     return kept
 
 
-def of_the_site(rotations: FloatArray, observations: Observations, n_points: int) -> BoolArray:
+def of_the_site(
+    rotations: FloatArray, observations: Observations, n_points: int, standing: BoolArray | None = None
+) -> BoolArray:
     """Points (m,) of the ground that was surveyed.
 
     Where most photos (cam_from_world (k, 3, 3), z up) look down, ground that only the others see, far aside,
-    is not what anybody surveyed, and the dome over it grows with the square of its distance.
+    is not what anybody surveyed, and the dome over it grows with the square of its distance. Neither is
+    ground that only an extra pass sees, where its photos are known (``standing`` (k,)).
     """
-    down = -rotations[:, 2, 2] > np.cos(np.radians(CONVERGENT_DEG))
-    everything = np.ones(n_points, bool)
-    if 2 * down.sum() <= len(down):
-        return everything
-    found: BoolArray = np.bincount(observations.point[down[observations.photo]], minlength=n_points) >= 2
-    return found if 2 * found.sum() > n_points else everything
+    known = standing is not None and bool(standing.any()) and not bool(standing.all())
+    survey = ~standing if standing is not None and known else np.ones(len(rotations), bool)
+    down = survey & (-rotations[:, 2, 2] > np.cos(np.radians(CONVERGENT_DEG)))
+    if 2 * down.sum() > survey.sum():
+        survey = down
+    found: BoolArray = np.bincount(observations.point[survey[observations.photo]], minlength=n_points) >= 2
+    # A pass may see more than the survey; photos that nothing is known of do not outvote the others.
+    enough = found.sum() >= FEWEST_OF_SITE if known else 2 * found.sum() > n_points
+    return found if enough else np.ones(n_points, bool)
 
 
 def predict_dome(
@@ -100,12 +108,10 @@ def predict_dome(
     adjusted = block.adjusted
     if adjusted.point_response is None:
         raise ValueError("the block was adjusted without its response")
-    kept = _settled(adjusted.point_response, lens_covariance[np.ix_(adjusted.free, adjusted.free)])
-    kept &= of_the_site(adjusted.state.rotations, block.observations, len(kept))
+    kept = _settled(adjusted.point_response, lens_covariance)
+    kept &= of_the_site(adjusted.state.rotations, block.observations, len(kept), block.standing)
     points = adjusted.state.points_m[kept]
-    heights = _tangent_rest(points, adjusted.point_response[kept])
-    gain = np.zeros(len(LENS_NAMES))
-    gain[adjusted.free] = dome_amplitude_m(points, heights)
+    gain = dome_amplitude_m(points, _tangent_rest(points, adjusted.point_response[kept]))
     alone = float(gain @ lens_covariance @ gain)
     given = 0.0
     if reference is not None and reference_covariance is not None:

@@ -201,8 +201,7 @@ def measure_flatness(block: Calibrated, estimate: Estimate, seed: int = 0) -> Fl
     covariance: FloatArray = formal * excess
     if adjusted.point_response is not None:
         by_lens = np.einsum("mjc,mjp->cp", gradients, adjusted.point_response)
-        free = np.flatnonzero(adjusted.free)
-        more = (estimate.lens_covariance - excess * adjusted.covariance)[np.ix_(free, free)]
+        more = estimate.lens_covariance - excess * adjusted.covariance
         covariance = covariance + by_lens @ more @ by_lens.T
     covariance = covariance + _roughness(rest[used], u[used], v[used], inverse)
     percent = 100 / distance

@@ -90,13 +90,15 @@ def with_lens_priors(
 class Calibrated:
     """A self-calibrated block. ``adjustment`` can be run again under other lens models.
 
-    ``point_index`` (m,): index of every remaining point among those given.
+    ``point_index`` (m,): index of every remaining point among those given. ``standing`` (k,): photos known
+    to be taken standing: an extra pass.
     """
 
     adjustment: Adjustment
     adjusted: Adjusted
     point_index: np.ndarray
     observation_index: np.ndarray
+    standing: np.ndarray | None = None
 
     @property
     def observations(self) -> Observations:
@@ -211,7 +213,7 @@ def calibrate(
     adjustment, result = _with_believable_positions(adjustment, result, tick)
     adjustment = _with_shutter(adjustment, result, standing, tick)
     result = adjustment.run(result.state, result.free, reweightings=1, response=True, tick=tick)
-    return Calibrated(adjustment, result, point_index, obs_index)
+    return Calibrated(adjustment, result, point_index, obs_index, standing)
 
 
 def _honest_positions(
