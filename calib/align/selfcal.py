@@ -202,18 +202,42 @@ def calibrate(
     names = tuple(n for n in steps[-1] if n in _significant(result))
     adjustment = Adjustment(obs, k, len(state.points_m), priors)
     result = adjustment.run(state, mask(names, field=True), decrement=0.1, tick=tick)
-    state = result.state
+    adjustment, state, point_index, obs_index = _weighed(
+        adjustment, result, point_index, obs_index, blunder_sigmas
+    )
+    result = adjustment.run(state, result.free, tick=tick)
+    adjustment, result = _with_believable_positions(adjustment, result, tick)
+    moving = _with_shutter(adjustment, result, standing, tick)
+    if moving is not adjustment:
+        # Weights that contain what the ways explain would leave the images less say than the priors.
+        result = moving.run(result.state, result.free, decrement=0.1, tick=tick)
+        adjustment, state, point_index, obs_index = _weighed(
+            moving, result, point_index, obs_index, blunder_sigmas
+        )
+        result = replace(result, state=state)
+    result = adjustment.run(result.state, result.free, reweightings=1, response=True, tick=tick)
+    return Calibrated(adjustment, result, point_index, obs_index, standing)
+
+
+def _weighed(
+    adjustment: Adjustment,
+    result: Adjusted,
+    point_index: np.ndarray,
+    obs_index: np.ndarray,
+    blunder_sigmas: float,
+) -> tuple[Adjustment, State, np.ndarray, np.ndarray]:
+    """The block without blunders, weighed by the noise that is left, correlation included.
+
+    With the state and the indices of what is left of points and observations.
+    """
+    obs, state, k = adjustment.obs, result.state, len(result.state.rotations)
     sigma = noise_px(result.residuals_px) * _redundancy_factor(len(obs), k, len(state.points_m))
     keep = np.linalg.norm(result.residuals_px, axis=1) < blunder_sigmas * sigma
     factor = block_correlation(adjustment, result)
     sigma *= float(np.sqrt(factor))
     obs, obs_index, state, point_index = _kept(obs, obs_index, keep, sigma, state, point_index, k)
-    adjustment = Adjustment(obs, k, len(state.points_m), priors, noise_factor=factor)
-    result = adjustment.run(state, result.free, tick=tick)
-    adjustment, result = _with_believable_positions(adjustment, result, tick)
-    adjustment = _with_shutter(adjustment, result, standing, tick)
-    result = adjustment.run(result.state, result.free, reweightings=1, response=True, tick=tick)
-    return Calibrated(adjustment, result, point_index, obs_index, standing)
+    adjustment = Adjustment(obs, k, len(state.points_m), adjustment.priors, noise_factor=factor)
+    return adjustment, state, point_index, obs_index
 
 
 def _honest_positions(
