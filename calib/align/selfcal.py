@@ -6,7 +6,7 @@
 4. The residual field joins, with a weak prior (docs/method.md says why). Where the residuals are
    correlated within photos, the images weigh less against the priors from here on.
 5. Precise positions (RTK) keep their weight only where the lens is the same without it.
-6. A rolling shutter (each camera's way during its readout) joins where the photos ask for it.
+6. Where the photos ask for a rolling shutter (each camera's way during its readout), all again with it.
 """
 
 from __future__ import annotations
@@ -28,6 +28,7 @@ from calib.camera import BROWN_NAMES, FloatArray
 from calib.errors import AlignmentError
 from calib.field import LENS_NAMES, Lens
 from calib.photos.photo import LeftOut, Photo
+from calib.similarity import fit_similarity
 from calib.solution import Georeference, Observations, Solution
 
 #: Prior of the residual field's coefficients, in px at 4000 px image width.
@@ -178,6 +179,26 @@ def calibrate(
     Raises:
         AlignmentError: too few observations survive for the number of unknowns.
     """
+    found = _in_steps(obs, start, priors, tick, blunder_sigmas)
+    ways = _ways(found, standing, tick)
+    if ways is not None:
+        # What did not fit without the ways is gone, and of the rest too much fits: f leaned on that choice by
+        # seven of its sigmas. All that was measured is looked at again.
+        priors = replace(priors, way_information=ways)
+        found = _in_steps(obs, _from_there(found, start), priors, tick, blunder_sigmas)
+    result = found.adjusted
+    result = found.adjustment.run(result.state, result.free, reweightings=1, response=True, tick=tick)
+    return replace(found, adjusted=result, standing=standing)
+
+
+def _in_steps(
+    obs: Observations,
+    start: State,
+    priors: Priors,
+    tick: Callable[[], None] | None,
+    blunder_sigmas: float,
+) -> Calibrated:
+    """Steps 1 to 5 of the module's text; raises as :func:`calibrate`."""
     k = len(start.rotations)
     point_index = np.arange(len(start.points_m))
     obs_index = np.arange(len(obs))
@@ -202,42 +223,24 @@ def calibrate(
     names = tuple(n for n in steps[-1] if n in _significant(result))
     adjustment = Adjustment(obs, k, len(state.points_m), priors)
     result = adjustment.run(state, mask(names, field=True), decrement=0.1, tick=tick)
-    adjustment, state, point_index, obs_index = _weighed(
-        adjustment, result, point_index, obs_index, blunder_sigmas
-    )
-    result = adjustment.run(state, result.free, tick=tick)
-    adjustment, result = _with_believable_positions(adjustment, result, tick)
-    moving = _with_shutter(adjustment, result, standing, tick)
-    if moving is not adjustment:
-        # Weights that contain what the ways explain would leave the images less say than the priors.
-        result = moving.run(result.state, result.free, decrement=0.1, tick=tick)
-        adjustment, state, point_index, obs_index = _weighed(
-            moving, result, point_index, obs_index, blunder_sigmas
-        )
-        result = replace(result, state=state)
-    result = adjustment.run(result.state, result.free, reweightings=1, response=True, tick=tick)
-    return Calibrated(adjustment, result, point_index, obs_index, standing)
-
-
-def _weighed(
-    adjustment: Adjustment,
-    result: Adjusted,
-    point_index: np.ndarray,
-    obs_index: np.ndarray,
-    blunder_sigmas: float,
-) -> tuple[Adjustment, State, np.ndarray, np.ndarray]:
-    """The block without blunders, weighed by the noise that is left, correlation included.
-
-    With the state and the indices of what is left of points and observations.
-    """
-    obs, state, k = adjustment.obs, result.state, len(result.state.rotations)
+    state = result.state
     sigma = noise_px(result.residuals_px) * _redundancy_factor(len(obs), k, len(state.points_m))
     keep = np.linalg.norm(result.residuals_px, axis=1) < blunder_sigmas * sigma
     factor = block_correlation(adjustment, result)
     sigma *= float(np.sqrt(factor))
     obs, obs_index, state, point_index = _kept(obs, obs_index, keep, sigma, state, point_index, k)
-    adjustment = Adjustment(obs, k, len(state.points_m), adjustment.priors, noise_factor=factor)
-    return adjustment, state, point_index, obs_index
+    adjustment = Adjustment(obs, k, len(state.points_m), priors, noise_factor=factor)
+    result = adjustment.run(state, result.free, tick=tick)
+    adjustment, result = _with_believable_positions(adjustment, result, tick)
+    return Calibrated(adjustment, result, point_index, obs_index)
+
+
+def _from_there(found: Calibrated, start: State) -> State:
+    """Where a block stands, as a start for all points that it was given: those left out come along."""
+    state = found.adjusted.state
+    points = fit_similarity(start.points_m[found.point_index], state.points_m).apply(start.points_m)
+    points[found.point_index] = state.points_m
+    return replace(state, points_m=points)
 
 
 def _honest_positions(
@@ -301,10 +304,11 @@ def _with_believable_positions(
     return adjustment, result
 
 
-def _with_shutter(
-    adjustment: Adjustment, result: Adjusted, standing: np.ndarray | None, tick: Callable[[], None] | None
-) -> Adjustment:
-    """The adjustment with a rolling shutter where that explains the residuals significantly better."""
+def _ways(
+    block: Calibrated, standing: np.ndarray | None, tick: Callable[[], None] | None
+) -> FloatArray | None:
+    """``Priors.way_information`` where a rolling shutter explains the residuals significantly better."""
+    adjustment, result = block.adjustment, block.adjusted
     state, obs = result.state, adjustment.obs
     distance = float(
         np.median(np.linalg.norm(state.points_m[obs.point] - state.centres_m[obs.photo], axis=1))
@@ -320,7 +324,7 @@ def _with_shutter(
     gain = (result.chi2 - trial.chi2) / noise
     # However narrow the priors: many thousand tie points use up what they leave.
     unknowns = 3 * len(state.rotations)
-    return moving if float(chdtrc(unknowns, max(gain, 0.0))) < SHUTTER_P else adjustment
+    return ways if float(chdtrc(unknowns, max(gain, 0.0))) < SHUTTER_P else None
 
 
 def _kept(
