@@ -16,13 +16,13 @@ from benchmarks.refly_world import World, flown, world_of
 from benchmarks.verdict_score import NAN, NO_RESULT
 from benchmarks.verdict_truth import true_dome_percent
 from benchmarks.verdict_world import TrueReference, reference_of
-from calib.align.adjust import BoolArray
 from calib.check import conclude
 from calib.errors import AlignmentError
 from calib.findings import State
 from calib.flown_file import NETWORK_FILE, FlownCheck, flown_check, network_bytes, read_network
 from calib.judge import GEOMETRY
 from calib.result import CheckResult, Timing
+from calib.solution import BoolArray
 from mission.plan import Station
 from mission.refly import Refly, pass_plan, refly, return_height_of
 from mission.refly_passes import circle, paper_fan

@@ -10,7 +10,6 @@ from scipy.special import chdtrc
 
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.control_adjust import (
-    BoolArray,
     Fit,
     MarkSet,
     Pose,
@@ -33,6 +32,7 @@ from calib.control_spread import Spread, model_spread
 from calib.errors import AlignmentError, InputError
 from calib.mount import Mounted, Poses
 from calib.photos.photo import Photo
+from calib.solution import BoolArray
 
 #: Release of the parameters ([SEN] 2.3); a step stays where chance explains its gain with less than P.
 STEPS: tuple[tuple[str, tuple[str, ...]], ...] = (

@@ -11,14 +11,12 @@ from dataclasses import dataclass, replace
 import cv2
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from calib.align.rotations import rotation_exp
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.errors import AlignmentError
-from calib.solution import IntArray
+from calib.solution import BoolArray, IntArray
 
-BoolArray = NDArray[np.bool_]
 #: rotation_cam_from_world (3, 3), centre_m (3,).
 Pose = tuple[FloatArray, FloatArray]
 #: A resection whose marks miss by more than this share of the image width is not believed.

@@ -7,8 +7,9 @@ from dataclasses import replace
 import numpy as np
 
 from calib.camera import BrownCamera, FloatArray
-from calib.control_adjust import Block, BoolArray, Fit, MarkSet, adjust, in_camera, resected
+from calib.control_adjust import Block, Fit, MarkSet, adjust, in_camera, resected
 from calib.errors import AlignmentError, InputError
+from calib.solution import BoolArray
 
 #: Lens parameters that every calibration on control points has.
 RADIAL = ("f", "k1", "k2", "k3")

@@ -14,9 +14,10 @@ import scipy.linalg
 from scipy.special import chdtrc
 
 from calib.camera import BROWN_NAMES, FloatArray
-from calib.control_adjust import BoolArray, Fit, MarkSet, adjust, linearised
+from calib.control_adjust import Fit, MarkSet, adjust, linearised
 from calib.errors import AlignmentError
 from calib.field import FIELD_NAMES, field_basis
+from calib.solution import BoolArray
 
 #: Prior of a coefficient of the residual field, px, at 4000 px image width.
 _FIELD_PRIOR_PX = 0.5

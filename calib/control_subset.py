@@ -8,8 +8,9 @@ import numpy as np
 
 from calib.camera import BROWN_NAMES, BrownCamera, FloatArray
 from calib.control import ControlCalibration, free_parameters
-from calib.control_adjust import Block, BoolArray, MarkSet, adjust, mark_derivatives
+from calib.control_adjust import Block, MarkSet, adjust, mark_derivatives
 from calib.errors import AlignmentError
+from calib.solution import BoolArray
 
 #: Sizes that [SEN] compare with the whole campaign.
 SIZES = (14, 20)

@@ -14,12 +14,11 @@ from dataclasses import dataclass
 import numpy as np
 import scipy.linalg
 
-from calib.align.adjust import BoolArray
 from calib.align.dome import site_radius_m
 from calib.align.rotations import similarity_tangent
 from calib.camera import FloatArray
 from calib.field import LENS_NAMES, Lens
-from calib.solution import IntArray
+from calib.solution import BoolArray, IntArray
 
 #: Photos eliminated at a time: enough for fast matrix products, few enough for a narrow front.
 GROUP = 40

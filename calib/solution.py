@@ -12,6 +12,7 @@ from calib.field import Lens
 from calib.photos.photo import LeftOut, Photo
 
 IntArray = NDArray[np.intp]
+BoolArray = NDArray[np.bool_]
 
 
 @dataclass(frozen=True)

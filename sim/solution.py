@@ -8,14 +8,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
-from calib.align.adjust import BoolArray
 from calib.align.child import Outcome, measured
 from calib.align.georeference import place, read_tags
 from calib.align.selfcal import Calibrated
 from calib.frames import LocalFrame
 from calib.photos.photo import CameraIdentity, Photo, Position, Processing
 from calib.reference import Reference
-from calib.solution import Solution
+from calib.solution import BoolArray, Solution
 from sim.network import SimBlock
 from sim.photo_writer import level_gimbal
 from sim.solve import calibrate_block

@@ -4,11 +4,12 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib.align.adjust import BoolArray, Priors, State
+from calib.align.adjust import Priors, State
 from calib.align.georeference import GIMBAL_SIGMA_DEG, LEAST_SIGMA_M
 from calib.align.selfcal import Calibrated, calibrate, with_lens_priors
 from calib.camera import BrownCamera
 from calib.field import LENS_NAMES, Lens
+from calib.solution import BoolArray
 from sim.network import SimBlock
 
 #: Receivers get half the trust that they ask for: 5 m for 2.5 m ([C&D] pre-processing).

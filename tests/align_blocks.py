@@ -7,11 +7,12 @@ from functools import lru_cache
 
 import numpy as np
 
-from calib.align.adjust import Adjustment, BoolArray, Priors, State
+from calib.align.adjust import Adjustment, Priors, State
 from calib.align.grow import lens_mask
 from calib.align.selfcal import Calibrated
 from calib.camera import FloatArray
 from calib.field import FIELD_NAMES, LENS_NAMES, Lens
+from calib.solution import BoolArray
 from sim.network import SimBlock, SimOptions, survey
 from sim.solve import calibrate_block
 

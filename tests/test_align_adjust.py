@@ -21,7 +21,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy.stats import chi2
 
-from calib.align.adjust import Adjustment, BoolArray, State
+from calib.align.adjust import Adjustment, State
 from calib.align.dome import aligned_difference_m
 from calib.align.grow import lens_mask
 from calib.align.normal import Topology
@@ -30,7 +30,7 @@ from calib.align.readout import WAY, way_information
 from calib.align.rotations import rotation_exp, rotation_log, similarity_tangent
 from calib.camera import BrownCamera, FloatArray
 from calib.field import LENS_NAMES, Lens
-from calib.solution import Observations
+from calib.solution import BoolArray, Observations
 from sim.flights import grid, phantom3
 from sim.network import SimBlock, SimOptions, observe
 

@@ -8,7 +8,6 @@ import numpy as np
 import pytest
 from align_blocks import INDEX, block_adjustment, loose_priors, small, solved, truth_of
 
-from calib.align.adjust import BoolArray
 from calib.align.dome import (
     aligned_difference_m,
     dome_amplitude_m,
@@ -20,7 +19,7 @@ from calib.align.grow import lens_mask
 from calib.align.selfcal import Calibrated
 from calib.camera import FloatArray
 from calib.field import LENS_NAMES
-from calib.solution import Dome, Observations
+from calib.solution import BoolArray, Dome, Observations
 from sim.flights import rotation_looking
 from sim.network import SimBlock
 

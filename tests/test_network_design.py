@@ -10,7 +10,6 @@ from align_blocks import block_adjustment, brown_and_field, gps_priors, lens_mas
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib.align.adjust import BoolArray
 from calib.align.dome import dome_amplitude_m
 from calib.align.readout import way_information
 from calib.camera import FloatArray
@@ -25,6 +24,7 @@ from calib.network_design import (
 )
 from calib.network_extension import Joint, PhotoPool, PhotoRows, joint_covariance, photo_rows
 from calib.network_views import EVERY_VIEW, SIMULATED, nearest_view_deg, seen_points
+from calib.solution import BoolArray
 from sim.flights import Flight, convergent, grid, phantom3, rotation_looking
 from sim.network import SimBlock
 

@@ -16,15 +16,12 @@ from dataclasses import dataclass
 
 import numpy as np
 import scipy.linalg
-from numpy.typing import NDArray
 
 from calib.align.normal import Factored, Linear, Step, Topology, factored, reduced
 from calib.align.rotations import rotation_exp, rotation_log, similarity_tangent
 from calib.camera import FloatArray
 from calib.field import Lens
-from calib.solution import Observations
-
-BoolArray = NDArray[np.bool_]
+from calib.solution import BoolArray, Observations
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,13 @@ from collections.abc import Callable
 
 import numpy as np
 
-from calib.align.adjust import BoolArray
 from calib.align.rotations import similarity_tangent
 from calib.align.selfcal import Calibrated, hold
 from calib.camera import FloatArray
 from calib.evidence import CONVERGENT_DEG
 from calib.field import Lens
 from calib.similarity import fit_similarity
-from calib.solution import Dome, Observations
+from calib.solution import BoolArray, Dome, Observations
 
 #: Points that the lens leaves open so many times as much as the middle one do not count for the dome.
 UNSETTLED = 100.0

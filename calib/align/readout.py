@@ -11,8 +11,8 @@ import math
 
 import numpy as np
 
-from calib.align.adjust import BoolArray
 from calib.camera import FloatArray
+from calib.solution import BoolArray
 
 #: Standard deviations. Along a line, or level where there is none, as a share of the distance to the ground:
 #: 8 m/s for 30 ms at 60 m. That is of the mean of all ways, too: they go forward in every photo, and small

@@ -17,14 +17,13 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 from scipy.interpolate import RBFInterpolator
 from scipy.linalg import cho_solve, cholesky
 
 from calib.assess.model import ElevationTrend, elevation_trend
 from calib.camera import FloatArray
+from calib.solution import BoolArray
 
-BoolArray = NDArray[np.bool_]
 #: A slope that is not known to this is not told: 3 % of heights, a focal length 3 % off.
 TOLD_SIGMA = 0.03
 #: Fewer points than this leave nothing to judge a sigma by.

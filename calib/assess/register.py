@@ -12,13 +12,14 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib.assess.elevation import BoolArray, elevation_from_others
+from calib.assess.elevation import elevation_from_others
 from calib.assess.local import Heights, Neighbourhood, Sampler, near_places
 from calib.assess.model import Seven, seven_derivatives, seven_parameters, similarity_of
 from calib.camera import FloatArray
 from calib.clouds import LoadedCloud
 from calib.errors import InputError
 from calib.similarity import fit_robust
+from calib.solution import BoolArray
 
 #: What is known of the seven before any point is looked at: m, degrees, percent ([C&D] Table 4, doubled).
 PRIOR_SIGMAS = np.array([10.0, 10.0, 1000.0, 5.0, 5.0, 5.0, 10.0])

@@ -14,13 +14,14 @@ import numpy as np
 from scipy.special import chdtrc
 
 from calib.align.dome import site_radius_m
-from calib.assess.elevation import BoolArray, robust_trend
+from calib.assess.elevation import robust_trend
 from calib.assess.model import ElevationTrend, Surface, profile
 from calib.assess.register import PRIOR_SIGMAS, Registration, correlation, register
 from calib.assess.truth import DATUM_M, Truth
 from calib.camera import FloatArray
 from calib.clouds import LoadedCloud
 from calib.errors import InputError
+from calib.solution import BoolArray
 
 #: Cells of the map along each side, and of those how many make a block of the jackknife.
 MAP_CELLS, _BLOCK_CELLS = 80, 10
