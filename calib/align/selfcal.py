@@ -15,14 +15,14 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from scipy.special import chdtrc
+from scipy.special import chdtrc, chdtri
 
 from calib.align.adjust import Adjusted, Adjustment, Priors, State
 from calib.align.chance import Lengths, beyond_chance
 from calib.align.correlation import correlation_factor
 from calib.align.georeference import DEFAULT_SIGMA_M
 from calib.align.rays import ray_angle_deg
-from calib.align.readout import way_information
+from calib.align.readout import line_directions, way_information
 from calib.align.tracks import select
 from calib.camera import BROWN_NAMES, FloatArray
 from calib.errors import AlignmentError
@@ -324,7 +324,14 @@ def _ways(
     gain = (result.chi2 - trial.chi2) / noise
     # However narrow the priors: many thousand tie points use up what they leave.
     unknowns = 3 * len(state.rotations)
-    return ways if float(chdtrc(unknowns, max(gain, 0.0))) < SHUTTER_P else None
+    if float(chdtrc(unknowns, max(gain, 0.0))) < SHUTTER_P:
+        return ways
+    # Too weak to be seen photo by photo it may still pull f by several sigmas: they all go forward.
+    along = line_directions(state.centres_m)[0]
+    if standing is not None:
+        along[standing] = 0.0
+    mean, variance = moving.mean_way(trial, along)
+    return ways if mean**2 > variance * noise * float(chdtri(1, SHUTTER_P)) else None
 
 
 def _kept(

@@ -31,6 +31,8 @@ DEFENSIBLE_P = 1e-3
 #: A smooth lens pattern does not end at the field's fourth degree; what goes on beyond it, as a share of
 #: the coefficients found, in each of this many parts of the image.
 BEYOND_FIELD, PARTS = 0.15, (6, 4)
+#: Ways to halve the points that are tried: a photo with a dozen of them is left bare by every other one.
+SHUFFLES = 6
 
 
 @dataclass(frozen=True)
@@ -235,20 +237,27 @@ def _with_spread(covariance: FloatArray, moves: list[_Move], lengths: Lengths) -
     return covariance
 
 
+def _halves(block: Calibrated, n_photos: int) -> tuple[_Part, _Part] | None:
+    """Two random halves of the points, by fixed shuffles; None where each leaves a photo bare."""
+    n_points = len(block.adjusted.state.points_m)
+    for seed in range(SHUFFLES):
+        # Neighbouring points have neighbouring numbers; a shuffle makes the halves alike.
+        half = np.random.default_rng(seed).permutation(n_points) % 2 == 0
+        first, second = _subset(block, half, n_photos), _subset(block, ~half, n_photos)
+        if first is not None and second is not None:
+            return first, second
+    return None
+
+
 def _split(
     block: Calibrated, lengths: Lengths, n_photos: int, excess: float, tick: Callable[[], None] | None
 ) -> tuple[float, float, float]:
     """Odd minus even: f, its sigma, and the rms projection difference over its predicted rms."""
-    n_points = len(block.adjusted.state.points_m)
-    # Neighbouring points have neighbouring numbers; a fixed shuffle makes the halves alike.
-    half = np.random.default_rng(0).permutation(n_points) % 2 == 0
-    results = []
     model = _Model("", block.adjusted.free, block.adjustment.priors, block.adjusted.state.lens)
-    for points in (half, ~half):
-        part = _subset(block, points, n_photos)
-        if part is None:
-            return float("nan"), float("nan"), float("nan")
-        results.append(part.run(model, tick))
+    parts = _halves(block, n_photos)
+    if parts is None:
+        return float("nan"), float("nan"), float("nan")
+    results = [part.run(model, tick) for part in parts]
     first, second = results
     move = first.state.lens.vector - second.state.lens.vector
     covariance = (first.covariance + second.covariance) * excess
