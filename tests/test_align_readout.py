@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from align_blocks import NOMINAL_F_PX
@@ -130,3 +132,45 @@ def test_a_block_that_only_stood_has_no_ways_to_find() -> None:
     assert np.sqrt(np.linalg.inv(found)[:, [0, 1, 2], [0, 1, 2]]).max() == pytest.approx(CLIMB_M)
     solved = calibrate_block(block, NOMINAL_F_PX, 0, everywhere)
     assert np.isfinite(solved.adjusted.sigma0)
+
+
+def test_a_common_way_is_found_where_single_ones_drown() -> None:
+    """Few tie points and noise: photo by photo nothing is certain, and f is several sigmas off."""
+    errors, found = [], 0
+    for seed in range(4):
+        rng = np.random.default_rng([seed, 78])
+        survey = grid(5, 8, 60.0, 120.0, heading_deg=20.0)
+        plan = survey + convergent(12, 40.0, 75.0) + convergent(6, 20.0, 75.0, first_azimuth_deg=45.0)
+        track = plan.track * 6.0
+        track[len(survey) :] = 0.0
+        track += rng.normal(size=track.shape) * 0.1
+        flight = Flight(plan.rotations_cam_from_world, plan.centres_m, track)
+        options = SimOptions(n_points=350, readout_s=0.03, speed_m_s=1.0, noise_px=1.2)
+        block = observe("faint", flight, phantom3(), seed, options)
+        standing = np.arange(len(flight)) >= len(survey)
+        solved = calibrate_block(block, NOMINAL_F_PX, seed, standing)
+        found += solved.adjustment.priors.way_information is not None
+        estimated = estimate(solved)
+        errors.append((estimated.brown.f_px - block.lens.brown.f_px) / np.sqrt(estimated.covariance[0, 0]))
+    assert found >= 3
+    assert np.abs(errors).max() < 3.2
+
+
+def test_noise_in_the_rows_is_not_taken_for_a_way() -> None:
+    """Oblique and straight photos that all moved, affinity open: a mean way hangs on the rows."""
+    means = []
+    for seed in range(6):
+        plan = grid(4, 6, 60.0, 100.0, heading_deg=0.0) + grid(
+            2, 5, 60.0, 100.0, heading_deg=0.0, off_nadir_deg=35.0
+        )
+        block = observe("still", plan, phantom3(), seed, SimOptions(n_points=900, noise_px=0.8))
+        solved = calibrate_block(block, NOMINAL_F_PX, seed)
+        assert solved.adjustment.priors.way_information is None
+        state = solved.adjusted.state
+        ways = way_information(state.centres_m, 60.0)
+        moving = solved.adjustment.with_priors(replace(solved.adjustment.priors, way_information=ways))
+        with_ways = moving.run(state, solved.adjusted.free, decrement=1e-2)
+        mean, variance = moving.mean_way(with_ways, line_directions(state.centres_m)[0])
+        means.append(mean / np.sqrt(variance))
+    assert abs(np.mean(means)) < 1.2
+    assert np.abs(means).max() < 3.0
