@@ -109,6 +109,9 @@ class PlannedNetwork:
         lasting = [part for part in (self.beyond, self.reference) if part is not None]
         if lasting:
             gain = self._gain(head)
+            # Of weak surveys so much of the points' covariance cancels in the dome's that rounding may leave
+            # less than the lens alone explains, or nothing.
+            dome = max(dome, error * float(gain @ head[:q, q]))
             dome += sum(float(gain @ part @ gain) for part in lasting)
         f, dome = math.sqrt(max(f, 0.0)), math.sqrt(max(dome, 0.0))
         return 100 * f / self.network.lens.brown.f_px, 100 * dome / self.height_agl_m
