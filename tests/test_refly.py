@@ -331,6 +331,21 @@ def test_what_no_lens_model_follows_stays_in_the_dome(case: FlownSite) -> None:
     assert more.worth(head)[0] > planned.worth(head)[0]
 
 
+def test_a_dome_that_rounding_ate_is_what_the_lens_leaves_open(case: FlownSite) -> None:
+    planned = replace(case.planned, reference=None)
+    head = PassSearch(planned, case.site, 30.0).candidates.joint.head
+    q = len(planned.f_gradient)
+    gain = np.linalg.solve(head[:q, :q], head[q, :q])
+    assert planned.beyond is not None
+    least = planned.assumptions.model_error_factor**2 * float(gain @ head[:q, q])
+    least += float(gain @ planned.beyond @ gain)
+    eaten = head.copy()
+    eaten[q, q] = -1e-9
+    said = planned.worth(eaten)[1]
+    assert said == pytest.approx(100 * np.sqrt(least) / planned.height_agl_m, rel=1e-3)
+    assert 0.5 * planned.worth(head)[1] < said <= planned.worth(head)[1] * (1 + 1e-9)
+
+
 def test_a_loose_reference_stays_in_the_dome_and_not_in_f(
     case: FlownSite, found: Refly, tmp_path: Path
 ) -> None:
