@@ -120,6 +120,14 @@ def left(asked: Sequence[LoopScore]) -> list[str]:
     return lines
 
 
+def _medians(asked: Sequence[LoopScore]) -> str:
+    sold = promised(asked)
+    return (
+        f"{len(asked)} flights, a cure for {len(sold)}, median "
+        f"{median((one.planned for one in sold), 0)} photos and {median((one.seconds for one in sold), 0)} s"
+    )
+
+
 def report(scores: Sequence[LoopScore], text: str) -> str:
     """Everything; ``text`` says what was done."""
     asked = [s for s in scores if s.asked]
@@ -142,9 +150,8 @@ def report(scores: Sequence[LoopScore], text: str) -> str:
         "## By area",
         "",
         *by_factor(asked, "area"),
-        f"Of these 2 ha straight down from about 60 m: {len(two)} flights, median "
-        f"{median((one.planned for one in promised(two)), 0)} photos and "
-        f"{median((one.seconds for one in promised(two)), 0)} s.",
+        f"Of these 2 ha straight down from about 60 m: {_medians(two)}; without an error of the lens, the "
+        f"shutter or the noise's shape: {_medians([s for s in two if s.case.level('error') == 'none'])}.",
         "",
         "## By what disturbs",
         "",
